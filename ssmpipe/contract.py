@@ -1,0 +1,175 @@
+"""What a stage is: ports, options, a run function, and the context it may use.
+
+A stage file under ``ssmpipe/stages`` defines ``class Config(StageConfig)``, ``def run(...)`` and ``STAGE = Stage(...)``.
+``run`` takes one keyword argument per input port (the artifact, or ``None`` for an absent optional one) plus ``cfg``
+and ``ctx``, and returns a dict with one entry per output port. In a stage of scope ``cohort`` every per-shape input
+arrives as ``dict[shape_id, artifact]`` in sorted order.
+
+Artifacts by slot:
+
+================  ===========================================================================  ==================
+slot              Python object                                                                file
+================  ===========================================================================  ==================
+mesh              :class:`ssmpipe.core.mesh.trimesh.TriMesh`                                   mesh.ply (float64)
+landmarks         :class:`Landmarks`                                                           landmarks.json
+transform         (4, 4) float64, scan coordinates to the current frame [mm]                   transform.json
+info              :class:`ShapeInfo`                                                           info.json
+uv                (n_vertices, 2) float64 in the unit square, one row per mesh vertex          uv.npz
+samples           (n_u, n_v, 3) float64                                                        samples.npz
+surface           :class:`ssmpipe.core.spline.surface.BSplineSurface`                          surface.npz
+reference         TriMesh that all shapes are aligned to; made by ``Stage.prepare``            mesh.ply
+================  ===========================================================================  ==================
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from ssmpipe.core.arrays import Floats
+from ssmpipe.core.errors import LandmarkError
+
+Scope = Literal["shape", "cohort"]
+
+
+class StageConfig(BaseModel):
+    """Options of one stage: frozen, strict, nothing unknown allowed; every field has a description with its unit."""
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """Named points of one shape, in the current frame [mm], and which name serves which role.
+
+    Examples
+    --------
+    >>> marks = Landmarks({"MFH": np.zeros(3)}, {"apex": "MFH"})
+    >>> marks.role("apex")
+    array([0., 0., 0.])
+    >>> marks.role("seam") is None
+    True
+    """
+
+    points: Mapping[str, Floats] = field(default_factory=dict)
+    roles: Mapping[str, str] = field(default_factory=dict)
+
+    def role(self, role: str) -> Floats | None:
+        """Return the point that serves ``role``, or None when no landmark was assigned to it.
+
+        A landmark that bears the role's own name serves it as well.
+
+        Raises
+        ------
+        LandmarkError
+            If a name was assigned to the role but this shape has no such landmark.
+        """
+        name = self.roles.get(role, role)
+        if name in self.points:
+            return self.points[name]
+        if role in self.roles:
+            have = ", ".join(sorted(self.points)) or "none"
+            raise LandmarkError(
+                f"landmark '{name}' (role '{role}') is missing; this shape has: {have}",
+                f"add it to the landmark file, or remove input.roles.{role} to let geometry decide",
+            )
+        return None
+
+    def transformed(self, matrix: Floats) -> Landmarks:
+        """Return the landmarks moved by a (4, 4) homogeneous ``matrix``."""
+        moved = {name: matrix[:3, :3] @ p + matrix[:3, 3] for name, p in self.points.items()}
+        return Landmarks(moved, self.roles)
+
+
+@dataclass(frozen=True)
+class ShapeInfo:
+    """What the cohort table says of one shape: ``side`` is "L", "R" or None; ``columns`` holds the rest as text."""
+
+    id: str
+    side: str | None = None
+    columns: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Port:
+    """A named input or output of a stage."""
+
+    slot: str
+    kind: str
+    optional: bool = False
+
+
+@dataclass
+class Context:
+    """All that a running stage may use besides its inputs and options.
+
+    Attributes
+    ----------
+    rng : numpy.random.Generator
+        Seeded from the run's seed, the shape id and the stage; never from the clock.
+    metrics : dict
+        Numbers for the report; keys end in a unit (``rms_mm``) or are counts (``n_faces``).
+    warnings : list of str
+    progress : callable
+        ``progress(done, total, text)``; shown as a bar on a terminal.
+    """
+
+    shape_id: str
+    rng: np.random.Generator
+    log: logging.Logger
+    metrics: dict[str, Any] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    progress: Callable[[int, int, str], None] = field(default=lambda done, total, text: None)
+
+    def metric(self, name: str, value: Any) -> None:
+        """Record a number (or short text, or list) for the manifest and the report."""
+        self.metrics[name] = value
+
+    def warn(self, message: str) -> None:
+        """Record a warning that names a fact and a remedy; shown in the console, the log and the report."""
+        self.warnings.append(message)
+        self.log.warning(message)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Declaration of a stage.
+
+    Parameters
+    ----------
+    name : str
+        Name in configs and on the command line; the file is ``stages/<name with underscores>.py``.
+    scope : {"shape", "cohort"}
+    version : int
+        Raised when the numbers change; part of the fingerprint.
+    config : type of StageConfig
+    run : callable
+    inputs, outputs : tuple of Port
+        The first input and first output are the main file of the single-file command.
+    methods : str
+        Sentence for the methods paragraph; ``{option}`` is replaced by the option's value.
+    cites : tuple of str
+        Keys into the bibliography of the report.
+    prepare : callable, optional
+        ``prepare(inputs: dict[shape_id, dict[slot, artifact]], *, cfg, ctx) -> dict[slot, artifact]``: runs once for the
+        cohort before the per-shape runs and makes the inputs that are common to all (the reference of ``align``).
+        The slots that it makes are listed in ``prepared``.
+    prepared : tuple of Port
+    """
+
+    name: str
+    scope: Scope
+    version: int
+    config: type[StageConfig]
+    run: Callable[..., dict[str, Any]]
+    inputs: tuple[Port, ...]
+    outputs: tuple[Port, ...]
+    methods: str = ""
+    cites: tuple[str, ...] = ()
+    prepare: Callable[..., dict[str, Any]] | None = None
+    prepared: tuple[Port, ...] = ()

@@ -1,0 +1,1 @@
+"""Poses: anatomical frames, rigid motions, iterative closest point, Procrustes."""

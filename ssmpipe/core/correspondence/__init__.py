@@ -1,0 +1,1 @@
+"""Dense correspondence by B-spline reparameterization of minimal description length."""

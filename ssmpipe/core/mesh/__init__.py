@@ -1,0 +1,1 @@
+"""Triangle meshes: the frozen mesh, topology, operators, distances."""

@@ -1,0 +1,1 @@
+"""The statistical shape model: mean, modes, variances."""

@@ -1,0 +1,1 @@
+"""Maps from a disk-like mesh to the unit square."""

@@ -1,0 +1,1 @@
+"""From a raw scan to a clean open surface: cleaning, trimming, smoothing, decimation."""

@@ -1,0 +1,1 @@
+"""B-spline curves and surfaces: knots, basis, evaluation, fitting."""

@@ -1,0 +1,1 @@
+"""Planning, caching, running and naming failures."""

@@ -1,0 +1,1 @@
+"""One thin file per stage; the registry finds them by file name."""
