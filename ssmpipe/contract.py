@@ -17,14 +17,20 @@ info              :class:`ShapeInfo`                                            
 uv                (n_vertices, 2) float64 in the unit square, one row per mesh vertex          uv.npz
 samples           (n_u, n_v, 3) float64                                                        samples.npz
 surface           :class:`ssmpipe.core.spline.surface.BSplineSurface`                          surface.npz
-reference         TriMesh that all shapes are aligned to; made by ``Stage.prepare``            mesh.ply
+reference         TriMesh that all shapes are aligned to; made by ``Stage.prepare``            reference.ply
+correspondence    :class:`ssmpipe.core.correspondence.correspondence.Correspondence`           correspondence.npz
+certificate       dict, kind ``json``                                                          certificate.json
+history           :class:`Table`                                                               history.csv
+model             :class:`ssmpipe.core.model.shape_model.ShapeModel`                           model.npz, model.h5
+scores, measures  :class:`Table`                                                               scores.csv ...
+any               dict name -> TriMesh, kind ``meshes``                                        <name>.ply for each
 ================  ===========================================================================  ==================
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -93,6 +99,14 @@ class ShapeInfo:
     id: str
     side: str | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of equal length, written as CSV; ``comment`` becomes a first line that starts with ``#``."""
+
+    columns: Mapping[str, Sequence[Any]]
+    comment: str = ""
 
 
 @dataclass(frozen=True)
