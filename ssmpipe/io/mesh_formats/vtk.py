@@ -1,0 +1,166 @@
+"""Legacy VTK POLYDATA, ASCII and binary, file versions 1 to 5: points, polygons, triangle strips."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssmpipe.core.arrays import Floats, Ints
+from ssmpipe.core.errors import ArtifactError
+from ssmpipe.io.mesh_formats.polygons import EXPORT_AGAIN, to_floats, to_ints, triangulate
+
+_TYPES = {
+    "float": "f4", "double": "f8", "int": "i4", "unsigned_int": "u4", "short": "i2", "unsigned_short": "u2",
+    "char": "i1", "unsigned_char": "u1", "long": "i8", "unsigned_long": "u8", "vtktypeint64": "i8", "vtkidtype": "i8",
+}  # fmt: skip
+_TOKEN = re.compile(rb"\S+")
+
+
+@dataclass
+class _Cursor:
+    data: bytes
+    binary: bool
+    at: int = 0
+
+    def line(self) -> list[str]:
+        """Return the words of the next line that is not empty; [] at the end of the file."""
+        while self.at < len(self.data):
+            end = self.data.find(b"\n", self.at)
+            end = len(self.data) if end < 0 else end
+            words = self.data[self.at : end].decode("latin-1").split()
+            self.at = end + 1
+            if words:
+                return words
+        return []
+
+    def array(self, kind: str, count: int, what: str) -> Floats | Ints:
+        """Read ``count`` numbers, after checking that the file can hold them."""
+        if kind.lower() not in _TYPES:
+            raise ArtifactError(
+                f"VTK: {what} has the unknown type '{kind[:20]}'", "save as legacy VTK with float or double"
+            )
+        dtype = np.dtype(">" + _TYPES[kind.lower()])
+        size = dtype.itemsize if self.binary else 2
+        if count < 0 or count * size > len(self.data) - self.at + 1:
+            raise ArtifactError(
+                f"truncated VTK: {what} needs {count} numbers, {max(len(self.data) - self.at, 0)} bytes are left",
+                EXPORT_AGAIN,
+            )
+        if self.binary:
+            values = np.frombuffer(self.data, dtype=dtype, count=count, offset=self.at)
+            self.at += values.nbytes
+            return values.astype(np.float64) if dtype.kind == "f" else values.astype(np.int64)
+        tokens: list[bytes] = []
+        for match in _TOKEN.finditer(self.data, self.at):
+            if len(tokens) == count:
+                break
+            tokens.append(match.group())
+            self.at = match.end()
+        if len(tokens) < count:
+            raise ArtifactError(f"truncated VTK: {what} needs {count} numbers, {len(tokens)} are there", EXPORT_AGAIN)
+        return to_floats(tokens, what) if dtype.kind == "f" else to_ints(tokens, what)
+
+
+def _cells(cursor: _Cursor, words: list[str], version: float) -> tuple[Ints, Ints]:
+    """Return the corners of each cell and their indices, from either layout of the format."""
+    what = words[0].upper()
+    n, size = int(words[1]), int(words[2])
+    if version >= 5:
+        header = cursor.line()
+        if len(header) != 2 or header[0].upper() != "OFFSETS":
+            raise ArtifactError(f"not a readable VTK: {what} has no OFFSETS", EXPORT_AGAIN)
+        offsets = cursor.array(header[1], n, what).astype(np.int64)
+        header = cursor.line()
+        if len(header) != 2 or header[0].upper() != "CONNECTIVITY":
+            raise ArtifactError(f"not a readable VTK: {what} has no CONNECTIVITY", EXPORT_AGAIN)
+        flat = cursor.array(header[1], size, what).astype(np.int64)
+        if n and (offsets[0] != 0 or offsets[-1] != size or np.any(np.diff(offsets) < 0)):
+            raise ArtifactError(f"not a readable VTK: the offsets of {what} do not fit its indices", EXPORT_AGAIN)
+        return np.diff(offsets), flat
+    mixed = cursor.array("int", size, what).astype(np.int64)
+    if n and size == 4 * n and np.all(mixed[::4] == 3):
+        return np.full(n, 3, dtype=np.int64), mixed.reshape(n, 4)[:, 1:].reshape(-1)
+    lengths = np.empty(n, dtype=np.int64)
+    keep = np.ones(size, dtype=bool)
+    at = 0
+    for i in range(n):
+        if at >= size or not 0 <= mixed[at] < size - at:
+            raise ArtifactError(
+                f"not a readable VTK: {what} number {i} runs over the {size} numbers stated", EXPORT_AGAIN
+            )
+        lengths[i] = mixed[at]
+        keep[at] = False
+        at += 1 + int(mixed[at])
+    if at != size:
+        raise ArtifactError(f"not a readable VTK: {what} says {size} numbers, {at} are used", EXPORT_AGAIN)
+    return lengths, mixed[keep]
+
+
+def _strips(lengths: Ints, flat: Ints) -> Ints:
+    """Turn triangle strips into triangles; every second one is turned round, as the format says."""
+    if len(lengths) and lengths.min() < 3:
+        raise ArtifactError(f"a triangle strip has {int(lengths.min())} points, it needs 3", EXPORT_AGAIN)
+    n = lengths - 2
+    base = np.repeat(np.cumsum(lengths) - lengths, n)
+    step = np.arange(len(base)) - np.repeat(np.cumsum(n) - n, n)
+    i = base + step
+    odd = step % 2
+    return np.stack([flat[i], flat[i + 1 + odd], flat[i + 2 - odd]], axis=1).reshape(-1, 3)
+
+
+def parse(data: bytes) -> tuple[Floats, Ints]:
+    """Read a legacy VTK file that holds POLYDATA.
+
+    Raises
+    ------
+    ArtifactError
+        If it is another data set, truncated, or its counts do not fit.
+    """
+    cursor = _Cursor(data, binary=False)
+    match = re.match(rb"#\s*vtk\s+datafile\s+version\s+(\d+\.\d+)", data[:80], re.IGNORECASE)
+    if match is None:
+        raise ArtifactError("not a readable VTK: the first line is not '# vtk DataFile Version'", EXPORT_AGAIN)
+    version = float(match.group(1))
+    cursor.at = data.find(b"\n", data.find(b"\n") + 1) + 1  # the title may be empty
+    form = [w.upper() for w in cursor.line()]
+    if data.count(b"\n", 0, 400) < 2 or form not in (["ASCII"], ["BINARY"]):
+        raise ArtifactError("not a readable VTK: the third line is neither ASCII nor BINARY", EXPORT_AGAIN)
+    cursor.binary = form == ["BINARY"]
+    dataset = cursor.line()
+    if [w.upper() for w in dataset] != ["DATASET", "POLYDATA"]:
+        raise ArtifactError(
+            f"VTK: '{' '.join(dataset)[:40]}' is not POLYDATA", "extract the surface and save it as PolyData"
+        )
+    vertices: Floats | None = None
+    triangles: list[Ints] = []
+    while words := cursor.line():
+        key = words[0].upper()
+        if key in ("POINT_DATA", "CELL_DATA"):
+            break
+        try:
+            if key == "POINTS":
+                vertices = cursor.array(words[2], 3 * int(words[1]), key).astype(np.float64).reshape(-1, 3)
+            elif key in ("POLYGONS", "TRIANGLE_STRIPS", "VERTICES", "LINES"):
+                lengths, flat = _cells(cursor, words, version)
+                if key == "POLYGONS":
+                    triangles.append(triangulate(lengths, flat))
+                elif key == "TRIANGLE_STRIPS":
+                    triangles.append(_strips(lengths, flat))
+            elif key == "METADATA":
+                end = re.search(rb"\n[ \t\r]*\n", data[cursor.at - 1 :])
+                cursor.at = cursor.at - 1 + end.end() if end else len(data)
+            elif key == "FIELD":
+                for _ in range(int(words[2])):
+                    name, n_components, n_tuples, kind = cursor.line()
+                    cursor.array(kind, int(n_components) * int(n_tuples), f"field {name[:20]}")
+            else:
+                raise ArtifactError(f"not a readable VTK: unknown section '{words[0][:30]}'", EXPORT_AGAIN)
+        except (IndexError, ValueError) as error:
+            raise ArtifactError(f"not a readable VTK: line '{' '.join(words)[:60]}'", EXPORT_AGAIN) from error
+    if vertices is None:
+        raise ArtifactError("not a readable VTK: it has no POINTS", EXPORT_AGAIN)
+    if not triangles:
+        raise ArtifactError("the VTK file has no polygons", "export a surface, not a point cloud")
+    return vertices, np.concatenate(triangles)
