@@ -116,7 +116,7 @@ def _signs(frame: Any, where: str) -> tuple[float, float, float]:
         return _TO_LPS[str(frame).strip().upper()]
     except KeyError as error:
         raise ArtifactError(
-            f"{where}: coordinate system '{str(frame)[:20]}'", "save the points in LPS or RAS"
+            f"{where}: coordinate system '{str(frame).strip()[:20]}'", "save the points in LPS or RAS"
         ) from error
 
 

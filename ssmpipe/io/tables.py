@@ -66,7 +66,7 @@ def read_rows(path: Path, key: str) -> tuple[list[str], list[tuple[int, list[str
     if twice:
         raise ArtifactError(f"{path.name}, line {start + 1}: column '{twice[0]}' occurs twice", "rename one of them")
     rows = []
-    reader = csv.reader(io.StringIO("".join(lines[start + 1 :])), delimiter=delimiter)
+    reader = csv.reader(io.StringIO("".join(lines[start + 1 :])), delimiter=delimiter, strict=True)
     try:
         for cells in reader:
             line = start + 1 + reader.line_num
