@@ -111,11 +111,12 @@ class Table:
 
 @dataclass(frozen=True)
 class Port:
-    """A named input or output of a stage."""
+    """A named input or output of a stage; ``volatile`` outputs hold timings and stay out of all digests."""
 
     slot: str
     kind: str
     optional: bool = False
+    volatile: bool = False
 
 
 @dataclass

@@ -65,4 +65,3 @@ def spectral_adjoint(
     product = (d_gram @ centred.reshape(n_shapes, -1)).reshape(centred.shape) / (n_shapes - 1)
     d_weights = np.einsum("ild,ild->l", product, centred)
     return 2.0 * product * weights[:, None], d_weights, d_gram
-

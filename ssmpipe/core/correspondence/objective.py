@@ -144,7 +144,10 @@ class GroupObjective:
         if self._weights is not None:
             d_points = d_points + self._weights.pull_back(points.mean(axis=0), d_weights) / len(points)
         d_parameters = np.stack(
-            [np.einsum("ild,ild->il", d_points, evaluation.derivative_u), np.einsum("ild,ild->il", d_points, evaluation.derivative_v)],
+            [
+                np.einsum("ild,ild->il", d_points, evaluation.derivative_u),
+                np.einsum("ild,ild->il", d_points, evaluation.derivative_v),
+            ],
             axis=-1,
         )
         pulled = self.reparameterization.pull_back(d_parameters[self.moving])
@@ -202,6 +205,8 @@ class GroupObjective:
 
         def apply(vector: Floats) -> Floats:
             rows = vector.reshape(len(factors), -1)
-            return np.concatenate([scipy.linalg.cho_solve(f, r, check_finite=False) for f, r in zip(factors, rows, strict=True)])
+            return np.concatenate(
+                [scipy.linalg.cho_solve(f, r, check_finite=False) for f, r in zip(factors, rows, strict=True)]
+            )
 
         return apply

@@ -58,7 +58,9 @@ class SurfaceStack:
                     "fit all shapes with the same degree",
                 )
             if not (np.array_equal(other.knots_u, first.knots_u) and np.array_equal(other.knots_v, first.knots_v)):
-                raise GeometryError(f"surface {k} has other knots than surface 0", "fit all shapes with the same control points")
+                raise GeometryError(
+                    f"surface {k} has other knots than surface 0", "fit all shapes with the same control points"
+                )
         self.n_shapes = len(surfaces)
         self.dimension = first.dimension
         self.degree = first.degree
@@ -105,12 +107,16 @@ class SurfaceStack:
             self.evaluate_one(i, parameters[i], out[0][i], out[1][i], out[2][i])
         return out
 
-    def evaluate_one(self, i: int, parameters: Floats, points: Floats, derivative_u: Floats, derivative_v: Floats) -> None:
+    def evaluate_one(
+        self, i: int, parameters: Floats, points: Floats, derivative_u: Floats, derivative_v: Floats
+    ) -> None:
         """Evaluate surface ``i`` at (n, 2) ``parameters`` into the given (n, d) arrays."""
         p, q = self.degree
         index_u, t, du = self._locate(0, parameters[:, 0])
         index_v, s, dv = self._locate(1, parameters[:, 1])
-        block = self._blocks[i][index_u * (len(self._ends[1]) - 1) + index_v].reshape(-1, p + 1, (q + 1) * self.dimension)
+        block = self._blocks[i][index_u * (len(self._ends[1]) - 1) + index_v].reshape(
+            -1, p + 1, (q + 1) * self.dimension
+        )
         t = t[:, None]
         row = block[:, p].copy()
         row_t = np.zeros_like(row)

@@ -32,7 +32,9 @@ def clamped_uniform_knots(n_control: int, degree: int) -> Floats:
     array([0. , 0. , 0. , 0.5, 1. , 1. , 1. ])
     """
     if degree < 1 or n_control < degree + 1:
-        raise GeometryError(f"a spline of degree {degree} needs degree >= 1 and at least {degree + 1} control points, got {n_control}")
+        raise GeometryError(
+            f"a spline of degree {degree} needs degree >= 1 and at least {degree + 1} control points, got {n_control}"
+        )
     inner = np.linspace(0.0, 1.0, n_control - degree + 1)
     return np.concatenate([np.zeros(degree), inner, np.ones(degree)])
 

@@ -42,13 +42,17 @@ class BSplineSurface:
     def __post_init__(self) -> None:
         control = np.asarray(self.control_points, dtype=np.float64)
         if control.ndim != 3 or not np.isfinite(control).all():
-            raise GeometryError(f"control_points: need finite numbers of shape (n_u, n_v, d), got shape {control.shape}")
+            raise GeometryError(
+                f"control_points: need finite numbers of shape (n_u, n_v, d), got shape {control.shape}"
+            )
         object.__setattr__(self, "degree", (int(self.degree[0]), int(self.degree[1])))
         for axis, name in enumerate(("knots_u", "knots_v")):
             knots = np.asarray(getattr(self, name), dtype=np.float64)
             degree, n_control = self.degree[axis], control.shape[axis]
             if knots.shape != (n_control + degree + 1,):
-                raise GeometryError(f"{name}: got {knots.size} knots, need n_control + degree + 1 = {n_control + degree + 1}")
+                raise GeometryError(
+                    f"{name}: got {knots.size} knots, need n_control + degree + 1 = {n_control + degree + 1}"
+                )
             if np.any(np.diff(knots) < 0):
                 raise GeometryError(f"{name}: knots must not decrease")
             if not (np.all(knots[: degree + 1] == 0) and np.all(knots[-degree - 1 :] == 1)):

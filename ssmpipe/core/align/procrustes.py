@@ -1,0 +1,89 @@
+"""Procrustes alignment of corresponded point sets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssmpipe.core.arrays import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """Rigid motions and size factors that bring a cohort together.
+
+    Parameters
+    ----------
+    rotation : (n_S, 3, 3)
+        Proper rotations.
+    translation : (n_S, 3)
+        ``x -> R x + t`` moves shape i; its centroid goes to the common centroid.
+    scale : (n_S,)
+        Factors about the common centroid that give all shapes the mean centroid size; ones when sizes are kept.
+    centre : (3,)
+        The common centroid.
+    """
+
+    rotation: Floats
+    translation: Floats
+    scale: Floats
+    centre: Floats
+
+
+def rotation_between(source: Floats, target: Floats, weights: Floats) -> Floats:
+    """Return the proper rotation that best turns centred ``source`` (n, 3) into centred ``target`` (Kabsch 1976).
+
+    Examples
+    --------
+    >>> quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    >>> bool(np.allclose(rotation_between(np.eye(3), np.eye(3) @ quarter.T, np.ones(3)), quarter))
+    True
+    """
+    u, _, vt = np.linalg.svd(target.T @ (weights[:, None] * source))
+    sign = np.sign(np.linalg.det(u @ vt))
+    return np.asarray(u @ np.diag([1.0, 1.0, sign]) @ vt)
+
+
+def generalized_procrustes(
+    points: Floats, weights: Floats, *, remove_size: bool, n_iterations: int = 50, tolerance: float = 1e-10
+) -> Alignment:
+    """Align corresponded shapes to their common mean by rigid motions, and find their size factors (Gower 1975).
+
+    Parameters
+    ----------
+    points : (n_S, n_P, 3) float64
+    weights : (n_P,) float64
+        Sum 1; area weights make the result independent of the landmark density.
+    remove_size : bool
+        Whether the mean is taken of shapes of equal centroid size.
+    n_iterations, tolerance
+        Ends when the largest change of a rotation entry falls below ``tolerance``.
+
+    Returns
+    -------
+    Alignment
+        The mean keeps the orientation and centroid of the input mean, so that shapes that are aligned already stay.
+    """
+    n_shapes = len(points)
+    centroids = np.einsum("l,ild->id", weights, points)
+    centred = points - centroids[:, None]
+    sizes = np.sqrt(np.einsum("l,ild,ild->i", weights, centred, centred))
+    scale = sizes.mean() / sizes if remove_size else np.ones(n_shapes)
+    scaled = centred * scale[:, None, None]
+    rotation = np.repeat(np.eye(3)[None], n_shapes, axis=0)
+    start = scaled.mean(axis=0)
+    mean = start
+    for _ in range(n_iterations):
+        updated = np.stack([rotation_between(shape, mean, weights) for shape in scaled])
+        mean = np.einsum("iab,ilb->la", updated, scaled) / n_shapes
+        back = rotation_between(mean, start, weights)
+        mean = mean @ back.T
+        updated = back @ updated
+        change = float(np.abs(updated - rotation).max())
+        rotation = updated
+        if change < tolerance:
+            break
+    centre = centroids.mean(axis=0)
+    translation = centre - np.einsum("iab,ib->ia", rotation, centroids)
+    return Alignment(rotation, translation, scale, centre)
