@@ -40,8 +40,8 @@ class MeanAreaWeights:
 
     def __init__(self, grid: tuple[int, int]) -> None:
         self.grid = grid
-        self._slope_u = np.gradient(np.eye(grid[0]), axis=0)
-        self._slope_v = np.gradient(np.eye(grid[1]), axis=0)
+        self._slope_u: Floats = np.asarray(np.gradient(np.eye(grid[0]), axis=0))
+        self._slope_v: Floats = np.asarray(np.gradient(np.eye(grid[1]), axis=0))
         self._cell = trapezoid(grid)
 
     def _tangents(self, mean: Floats) -> tuple[Floats, Floats, Floats]:

@@ -25,7 +25,9 @@ def _span_polynomials(knots: Floats, degree: int) -> Floats:
     nodes = ends[:-1, None] + np.diff(ends)[:, None] * t
     values = design_matrix(nodes.ravel(), knots, degree).reshape(len(ends) - 1, degree + 1, -1)
     vandermonde = np.vander(t, increasing=True)
-    return np.linalg.solve(np.broadcast_to(vandermonde, (len(ends) - 1, degree + 1, degree + 1)), values)
+    return np.asarray(
+        np.linalg.solve(np.broadcast_to(vandermonde, (len(ends) - 1, degree + 1, degree + 1)), values), float
+    )
 
 
 class SurfaceStack:
@@ -54,7 +56,8 @@ class SurfaceStack:
         for k, other in enumerate(surfaces):
             if other.degree != first.degree or other.dimension != first.dimension:
                 raise GeometryError(
-                    f"surface {k} has degree {other.degree} and dimension {other.dimension}, surface 0 has {first.degree} and {first.dimension}",
+                    f"surface {k} has degree {other.degree} and dimension {other.dimension}, "
+                    f"surface 0 has {first.degree} and {first.dimension}",
                     "fit all shapes with the same degree",
                 )
             if not (np.array_equal(other.knots_u, first.knots_u) and np.array_equal(other.knots_v, first.knots_v)):

@@ -1,0 +1,60 @@
+import numpy as np
+import pytest
+from scipy.interpolate import NdBSpline
+
+from ssmpipe.core.errors import GeometryError
+from ssmpipe.core.spline.evaluate import SurfaceStack
+from ssmpipe.core.spline.knots import clamped_uniform_knots
+from ssmpipe.core.spline.surface import BSplineSurface
+
+
+def random_surface(rng, degree, knots_u, knots_v):
+    shape = (len(knots_u) - degree[0] - 1, len(knots_v) - degree[1] - 1, 3)
+    return BSplineSurface(degree, knots_u, knots_v, rng.normal(size=shape))
+
+
+@pytest.mark.parametrize("degree", [(1, 1), (2, 2), (3, 2), (4, 5)])
+@pytest.mark.parametrize("uniform", [True, False])
+def test_agrees_with_scipy_in_value_and_derivatives(degree, uniform):
+    rng = np.random.default_rng(3)
+    knots = []
+    for p in degree:
+        k = clamped_uniform_knots(p + 7, p)
+        if not uniform:
+            k[p + 1 : -p - 1] = np.sort(rng.random(len(k) - 2 * p - 2))
+        knots.append(k)
+    surfaces = [random_surface(rng, degree, *knots) for _ in range(3)]
+    uv = rng.random((3, 200, 2))
+    uv[:, :4] = [[0, 0], [1, 1], [1, 0], [0, 1]]
+    uv[:, 4, 0] = knots[0][degree[0] + 2]
+    points, du, dv = SurfaceStack(surfaces).evaluate(uv)
+    for i, s in enumerate(surfaces):
+        oracle = NdBSpline(tuple(knots), s.control_points, degree)
+        inside = np.ones(200, bool)
+        if min(degree) == 1:
+            inside[:5] = False  # one-sided derivatives differ at a kink
+        np.testing.assert_allclose(points[i], oracle(uv[i]), atol=1e-12)
+        np.testing.assert_allclose(du[i][inside], oracle(uv[i][inside], nu=(1, 0)), atol=1e-9)
+        np.testing.assert_allclose(dv[i][inside], oracle(uv[i][inside], nu=(0, 1)), atol=1e-9)
+
+
+def test_refuses_different_knots():
+    rng = np.random.default_rng(0)
+    a = random_surface(rng, (2, 2), clamped_uniform_knots(6, 2), clamped_uniform_knots(6, 2))
+    b = random_surface(rng, (2, 2), clamped_uniform_knots(7, 2), clamped_uniform_knots(6, 2))
+    with pytest.raises(GeometryError, match="surface 1 has other knots than surface 0"):
+        SurfaceStack([a, b])
+
+
+@pytest.mark.parametrize(
+    ("knots", "words"),
+    [
+        (np.array([0, 0, 0, 1, 1.0]), "got 5 knots, need n_control \\+ degree \\+ 1 = 6"),
+        (np.array([0, 0, 0, 1, 0.9, 1]), "must not decrease"),
+        (np.array([0, 0, 0.1, 1, 1, 1]), "clamped"),
+    ],
+)
+def test_surface_refuses_bad_knots(knots, words):
+    good = clamped_uniform_knots(3, 2)
+    with pytest.raises(GeometryError, match=words):
+        BSplineSurface((2, 2), knots, good, np.zeros((3, 3, 3)))
