@@ -1,0 +1,345 @@
+"""The command line. Importing it loads click only; everything heavy is imported when a command runs."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from ssmpipe import __version__
+
+if TYPE_CHECKING:
+    from ssmpipe.runner.config import Project
+    from ssmpipe.runner.registry import Registry
+
+PATH = click.Path(path_type=Path)
+
+
+def _registry() -> Registry:
+    from ssmpipe.runner.registry import Registry
+
+    return Registry.default()
+
+
+class _Commands(click.Group):
+    """The fixed commands, and one for every stage: found by file name, imported when it is called."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return [*super().list_commands(ctx), *self._stages()]
+
+    def _stages(self) -> list[str]:
+        return [name for name in _registry().files() if name not in self.commands]
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        if name in self.commands:
+            return self.commands[name]
+        if name in self._stages():
+            from ssmpipe.runner.single import stage_command
+
+            with _errors(ctx.find_root().params.get("debug", False)):
+                return stage_command(_registry().load(name))
+        return None
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+        try:
+            return super().resolve_command(ctx, args)
+        except click.UsageError as error:
+            from ssmpipe.runner.suggest import did_you_mean
+
+            if args and not args[0].startswith("-") and "Did you mean" not in error.message:
+                close = did_you_mean(args[0], self.list_commands(ctx))
+                raise click.UsageError(f"No such command '{args[0]}'{close if 'mean' in close else ''}.", ctx) from None
+            raise
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        registry = _registry()
+        fixed = [(name, self.commands[name].get_short_help_str(100)) for name in super().list_commands(ctx)]
+        stages = [(name, registry.summary(name)) for name in self._stages()]
+        for title, rows in (("Commands", fixed), ("One stage on one file (group stages: on a folder)", stages)):
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
+
+
+@contextmanager
+def _errors(debug: bool, store: Path | None = None) -> Iterator[None]:
+    """Turn whatever happens into one line and an exit code."""
+    from ssmpipe.core.errors import ConfigError, SsmpipeError
+
+    try:
+        yield
+    except (click.ClickException, click.exceptions.Exit, click.Abort):
+        raise
+    except KeyboardInterrupt:
+        click.echo("interrupted; what is finished is kept, run the same command again to go on", err=True)
+        sys.exit(130)
+    except ConfigError as error:
+        if debug:
+            raise
+        click.echo(f"{error}", err=True)
+        sys.exit(2)
+    except SsmpipeError as error:
+        if debug:
+            raise
+        from ssmpipe.runner.lock import LockHeldError
+
+        click.echo(f"{error}", err=True)
+        sys.exit(75 if isinstance(error, LockHeldError) else 3)
+    except OSError as error:
+        if debug:
+            raise
+        where = f": {error.filename}" if error.filename else ""
+        click.echo(f"cannot read or write{where}: {error.strerror or error}; try: free space, or check permissions", err=True)
+        sys.exit(74)
+    except Exception as error:
+        if debug:
+            raise
+        click.echo(f"internal error: {type(error).__name__}: {error}; {_store_traceback(store)}", err=True)
+        sys.exit(1)
+
+
+def _store_traceback(folder: Path | None) -> str:
+    import tempfile
+    import traceback
+
+    text = traceback.format_exc()
+    for place in (folder, Path(tempfile.gettempdir())):
+        if place is None or not place.is_dir():
+            continue
+        try:
+            path = place / "ssmpipe-traceback.txt"
+            path.write_text(text, encoding="utf-8")
+            return f"the traceback is in {path}"
+        except OSError:
+            continue
+    return "run again with --debug to see the traceback"
+
+
+def _debug() -> bool:
+    return bool(click.get_current_context().find_root().params.get("debug", False))
+
+
+def _load(config: Path, overrides: tuple[str, ...] = ()) -> Project:
+    from ssmpipe.runner.config import load_project
+
+    return load_project(config, overrides, _registry())
+
+
+@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "auto_envvar_prefix": "SSMPIPE"})
+@click.version_option(__version__, prog_name="ssmpipe")
+@click.option("--debug", is_flag=True, help="Show the traceback of an error.  [default: off]")
+def main(debug: bool) -> None:
+    """From a folder of raw anatomical surfaces to a statistical shape model.
+
+    Exit codes: 0 fine, 1 internal error, 2 bad usage or config, 3 finished but some shapes were set aside (or a file was
+    refused), 74 disk full or other I/O, 75 another run holds the output folder, 130 interrupted.
+    """
+
+
+def _config_argument(command: Callable[..., Any]) -> Callable[..., Any]:
+    return click.argument("config", type=PATH, metavar="CONFIG.yaml")(command)
+
+
+def _set_option(command: Callable[..., Any]) -> Callable[..., Any]:
+    return click.option(
+        "--set",
+        "overrides",
+        multiple=True,
+        metavar="KEY=VALUE",
+        help="Override one key of the config, e.g. seed=1 or stages.optimize.n_coefficients=[8,8]; paths are relative to "
+        "the working directory.  [repeatable]",
+    )(command)
+
+
+class _Part(click.ParamType):
+    name = "i/N"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        try:
+            number, total = (int(x) for x in str(value).split("/"))
+        except ValueError:
+            self.fail(f"'{value}' is not of the form i/N, for example 2/8", param, ctx)
+        return number, total
+
+
+@main.command()
+@click.argument("config", type=PATH, metavar="CONFIG.yaml", required=False)
+@click.option("-n", "--dry-run", is_flag=True, help="Print what would run and why; touch nothing.  [default: off]")
+@click.option("--from", "first", metavar="STAGE", help="First stage to run.  [default: the first of the chain]")
+@click.option("--to", "last", metavar="STAGE", help="Last stage to run.  [default: the last of the chain]")
+@click.option("--only", multiple=True, metavar="STAGE", help="Run just this stage.  [repeatable; default: all]")
+@click.option("--shape", "shapes", multiple=True, metavar="ID", help="Run just this shape.  [repeatable; default: all]")
+@click.option(
+    "--force", multiple=True, is_flag=False, flag_value="*", metavar="[STAGE]", help="Run although up to date: one stage, or all."
+)
+@click.option("-j", "--jobs", type=click.IntRange(1), metavar="N", help="Child processes.  [default: processors, at most 8]")
+@click.option("--part", type=_Part(), metavar="i/N", help="Every N-th shape from the i-th on; per-shape stages only.  [default: all]")
+@_set_option
+@click.option("-q", "--quiet", is_flag=True, help="Print errors only.  [default: off]")
+@click.option("-v", "--verbose", count=True, help="Print every task (-v), and why it runs (-vv).  [default: 0]")
+def run(
+    config: Path | None,
+    dry_run: bool,
+    first: str | None,
+    last: str | None,
+    only: tuple[str, ...],
+    shapes: tuple[str, ...],
+    force: tuple[str, ...],
+    jobs: int | None,
+    part: tuple[int, int] | None,
+    overrides: tuple[str, ...],
+    quiet: bool,
+    verbose: int,
+) -> None:
+    """Run the whole chain; what is up to date is not run again."""
+    if config is None and force and Path(force[-1]).is_file():
+        config, force = Path(force[-1]), (*force[:-1], "*")  # `--force CONFIG.yaml`
+    if config is None:
+        raise click.UsageError("Missing argument 'CONFIG.yaml'.")
+    with _errors(_debug()):
+        project = _load(config, overrides)
+    with _errors(_debug(), project.out):
+        from ssmpipe.runner import run as runner
+        from ssmpipe.runner.console import Console
+
+        options = runner.RunOptions(first, last, only, shapes, frozenset(force), jobs, part)
+        console = Console(-1 if quiet else verbose)
+        if dry_run:
+            from ssmpipe.runner.status import print_forecast
+
+            print_forecast(runner.dry_run(project, options), project, console)
+            return
+        result = runner.run_project(project, options, console)
+        _summary(project, result, console)
+    sys.exit(result.exit_code)
+
+
+def _summary(project: Project, result: Any, console: Any) -> None:
+    n_failed = sum(1 for i in result.failures if i in project.sources)
+    minutes, seconds = divmod(result.seconds, 60)
+    wall = f"{int(minutes)} min {seconds:.0f} s" if minutes else f"{seconds:.1f} s"
+    if result.n_run == 0 and not n_failed and not result.problem:
+        console.say(f"nothing to do: {result.n_current} tasks are up to date")
+    if n_failed or result.problem:
+        console.error(f"see {project.out / 'failures.json'}" if result.failures else f"stopped: {result.problem}")
+    if result.report is not None:
+        console.say(f"report: {result.report}")
+    console.say(f"{len(result.ok)} shapes ok, {n_failed} failed, {result.n_run} tasks run, {wall}")
+
+
+@main.command()
+@_config_argument
+@_set_option
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.  [default: a table]")
+def status(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
+    """Say what is done, stale and failed, and why; run nothing."""
+    with _errors(_debug()):
+        from ssmpipe.runner.console import Console
+        from ssmpipe.runner.status import print_status, status_of
+
+        project = _load(config, overrides)
+        print_status(status_of(project), project, Console(), as_json=as_json)
+
+
+@main.command()
+@_config_argument
+@_set_option
+@click.option("-j", "--jobs", type=click.IntRange(1), metavar="N", help="Child processes.  [default: processors, at most 8]")
+def check(config: Path, overrides: tuple[str, ...], jobs: int | None) -> None:
+    """Validate the config and every scan before any work."""
+    with _errors(_debug()):
+        from ssmpipe.runner.check import check_project, print_checks
+        from ssmpipe.runner.console import Console
+
+        project = _load(config, overrides)
+        console = Console()
+        checks = check_project(project, jobs)
+        print_checks(checks, project, console)
+    sys.exit(3 if any(c.error for c in checks) else 0)
+
+
+@main.command()
+@_config_argument
+@_set_option
+def report(config: Path, overrides: tuple[str, ...]) -> None:
+    """Write report.html again from what is in the output folder."""
+    with _errors(_debug()):
+        from ssmpipe.runner.status import rewrite_report
+
+        click.echo(f"report: {rewrite_report(_load(config, overrides))}")
+
+
+@main.command()
+@click.argument("anatomy")
+@click.argument("scans_dir", type=PATH, metavar="SCANS_DIR")
+@click.option("-o", "--output", "target", type=PATH, required=True, metavar="CONFIG.yaml", help="Config file to write.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.  [default: off]")
+def init(anatomy: str, scans_dir: Path, target: Path, overwrite: bool) -> None:
+    """Write a commented config for a folder of scans."""
+    with _errors(_debug()):
+        from ssmpipe.runner.init import write_config
+
+        for line in write_config(anatomy, scans_dir, target, _registry(), overwrite=overwrite):
+            click.echo(line)
+
+
+@main.command()
+def schema() -> None:
+    """Print the JSON Schema of the config, for editors."""
+    with _errors(_debug()):
+        import json
+
+        from ssmpipe.runner.schema import config_schema
+
+        click.echo(json.dumps(config_schema(_registry()), indent=2))
+
+
+class _Synth(click.Group):
+    """One command per file in ``ssmpipe/synth`` that defines ``write_cohort``."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        from ssmpipe.runner.registry import synth_files
+
+        return list(synth_files())
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        from ssmpipe.runner.registry import summary_line, synth_files
+
+        path = synth_files().get(name)
+        if path is None:
+            return None
+
+        @click.command(name, help=summary_line(path))
+        @click.argument("out_dir", type=PATH, metavar="OUT_DIR")
+        @click.option("--n", type=click.IntRange(1), default=8, show_default=True, help="Number of shapes.")
+        @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of everything random.")
+        def command(out_dir: Path, n: int, seed: int) -> None:
+            with _errors(_debug()):
+                import importlib
+
+                module = importlib.import_module(f"ssmpipe.synth.{path.stem}")
+                module.write_cohort(out_dir, n, seed)
+                click.echo(f"{n} shapes written to {out_dir}")
+
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        from ssmpipe.runner.registry import summary_line, synth_files
+
+        rows = [(name, summary_line(path)) for name, path in synth_files().items()]
+        if rows:
+            with formatter.section("Cohorts"):
+                formatter.write_dl(rows)
+
+
+@main.group(cls=_Synth)
+def synth() -> None:
+    """Write a synthetic cohort with ground truth."""
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,519 @@
+"""Config file to a checked project: every problem at once, with file, line and a suggestion, before anything runs."""
+
+from __future__ import annotations
+
+import copy
+import json
+import types
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from ssmpipe.contract import Stage
+from ssmpipe.core.errors import ArtifactError, ConfigError, SsmpipeError
+from ssmpipe.runner.document import Document, Loc, parse_value, read_document
+from ssmpipe.runner.fingerprint import file_digest
+from ssmpipe.runner.plan import Plan, Step, make_plan
+from ssmpipe.runner.presets import PRESETS, find_preset
+from ssmpipe.runner.registry import RESERVED, Registry
+from ssmpipe.runner.sources import ID, Source, by_id, find_sources, scan_files
+from ssmpipe.runner.suggest import did_you_mean
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
+
+
+class InputConfig(_Section):
+    """Where the scans are and what is known of them."""
+
+    scans: Annotated[
+        str | list[str] | None,
+        Field(description="Folder, file, glob pattern, or a list of them; the id of a shape is its file name without suffix."),
+    ] = None
+    cohort: Annotated[
+        str | None, Field(description="CSV table: id, then any of path, side (L/R), group, subject, age, ...")
+    ] = None
+    landmarks: Annotated[
+        str | None,
+        Field(description="Named points in scan coordinates: {id: {name: [x, y, z]}} as JSON, or Slicer, MeshLab, CSV files."),
+    ] = None
+    units: Annotated[
+        Literal["mm", "cm", "m", "um", "none"], Field(description="Length unit of scans and landmarks; none: keep as is.")
+    ] = "mm"
+    roles: Annotated[
+        dict[str, str], Field(description="Which named landmark serves which step: {role: landmark name}.")
+    ] = {}
+    landmark_tolerance: Annotated[
+        float, Field(gt=0, description="A landmark farther from its surface than this is refused [mm].")
+    ] = 20.0
+
+
+class LimitsConfig(_Section):
+    """Limits of one child process."""
+
+    timeout_s: Annotated[
+        float | None, Field(gt=0, description="Longest time for the per-shape stages of one shape [s]; null: no limit.")
+    ] = 3600.0
+    memory_mb: Annotated[
+        int | None, Field(ge=256, description="Largest address space of one child process [MB]; null: no limit.")
+    ] = None
+
+
+class RunConfig(_Section):
+    """Config of a run: from a folder of scans to a model."""
+
+    name: Annotated[str, Field(min_length=1, max_length=200, description="Title of the study, shown in the report.")]
+    input: InputConfig
+    output: Annotated[str, Field(min_length=1, description="Output folder, relative to the config file.")]
+    anatomy: Annotated[
+        str | None,
+        Field(description="Preset that fills `stages` with defaults; without one, `stages` is the whole chain in order."),
+    ] = None
+    stages: Annotated[
+        list[Any], Field(description="Stages with options; merged by name into the preset's chain when `anatomy` is given.")
+    ] = []
+    seed: Annotated[int, Field(ge=0, description="Seed of everything random.")] = 0
+    min_shapes: Annotated[int, Field(ge=2, description="Group stages need at least this many shapes.")] = 3
+    max_failed_fraction: Annotated[
+        float, Field(ge=0, le=1, description="Group stages are not run when a larger fraction of the shapes failed [1].")
+    ] = 0.5
+    limits: LimitsConfig = LimitsConfig()
+
+
+class ConfigErrors(ConfigError):
+    """All problems of a config file, one line each."""
+
+    def __init__(self, problems: Sequence[str]) -> None:
+        self.problems = tuple(problems)
+        super().__init__("\n".join(problems))
+
+    def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
+        return (ConfigErrors, (self.problems,))
+
+
+@dataclass(frozen=True)
+class Project:
+    """A config with everything that follows from it, ready to run."""
+
+    path: Path
+    config: RunConfig
+    out: Path
+    steps: tuple[Step, ...]
+    plan: Plan
+    sources: Mapping[str, Source]
+    warnings: tuple[str, ...]
+    registry: Registry
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """A step while it is put together; ``loc`` is its place in the document, if it has one."""
+
+    id: str
+    stage: str
+    options: dict[str, Any]
+    sources: dict[str, str]
+    loc: Loc
+
+
+def load_project(path: Path, overrides: Sequence[str] = (), registry: Registry | None = None) -> Project:
+    """Read and check a config file and everything that it names, but open no scan.
+
+    Parameters
+    ----------
+    path : Path
+    overrides : sequence of str
+        ``key.path=value`` from the command line; a stage is addressed by its name: ``stages.optimize.n_coefficients``.
+    registry : Registry, optional
+
+    Raises
+    ------
+    ConfigErrors
+        With one line per problem: ``file:line: key.path: what (got ...); did you mean 'x'?``.
+    """
+    registry = registry or Registry.default()
+    document = read_document(path)
+    base = path.resolve().parent
+    for text in overrides:
+        _override(document, text)
+    problems: list[str] = []
+    config = _validated(RunConfig, document.data, (), document, problems)
+    entries = _chain(document, registry, problems)
+    prepared: list[Step] = []
+    for entry in entries:
+        step = _step(entry, document, registry, base, problems)
+        if step is not None:
+            prepared.append(step)
+    if not entries and not problems:
+        problems.append(f"{document.where(())}: stages: the chain is empty; set anatomy: {' | '.join(PRESETS)}, or list stages")
+    sources: list[Source] = []
+    warnings: list[str] = []
+    if config is not None:
+        sources, warnings = _sources(config, document, base, problems)
+    kinds = dict(sources[0].kinds) if sources else {}
+    if kinds and len({s.is_spline for s in sources}) > 1:
+        problems.append(f"{document.where(('input', 'scans'))}: input.scans: meshes and splines cannot be mixed in one cohort")
+    if kinds and not problems:
+        prepared = _enter(prepared, kinds)
+        try:
+            plan = make_plan(prepared, kinds)
+        except ConfigError as error:
+            problems += [f"{document.where(('stages',))}: stages: {part}" for part in error.fact.split("; stage ")]
+    if problems or config is None:
+        raise ConfigErrors(problems)
+    return Project(
+        path=path.resolve(),
+        config=config,
+        out=(base / config.output).resolve(),
+        steps=tuple(prepared),
+        plan=plan,
+        sources={source.id: source for source in sources},
+        warnings=tuple(warnings),
+        registry=registry,
+    )
+
+
+# --- the document --------------------------------------------------------------------------------------------------
+
+
+_PATHS = (("input", "scans"), ("input", "cohort"), ("input", "landmarks"), ("output",))
+
+
+def _override(document: Document, text: str) -> None:
+    key, sep, raw = text.partition("=")
+    parts = key.strip().split(".")
+    if not sep or not all(parts):
+        raise ConfigError(f"--set {text}: write it as key.path=value, for example --set seed=1")
+    value = parse_value(raw)
+    if tuple(parts) in _PATHS:
+        value = [_absolute(v) for v in value] if isinstance(value, list) else _absolute(value)
+    loc: Loc
+    if parts[0] == "stages":
+        loc = _override_stage(document, parts[1:], value, text)
+    else:
+        node = document.data
+        for part in parts[:-1]:
+            child = node.setdefault(part, {})
+            if not isinstance(child, dict):
+                raise ConfigError(f"--set {text}: '{part}' is not a section")
+            node = child
+        node[parts[-1]] = value
+        loc = tuple(parts)
+    document.overrides[loc] = text
+
+
+def _override_stage(document: Document, parts: list[str], value: Any, text: str) -> Loc:
+    if len(parts) < 2:
+        raise ConfigError(f"--set {text}: name a stage and an option: stages.<stage>.<option>=value")
+    stages = document.data.setdefault("stages", [])
+    if not isinstance(stages, list):
+        raise ConfigError(f"{document.where(('stages',))}: stages: must be a list")
+    for i, entry in enumerate(stages):
+        if entry == parts[0]:
+            stages[i] = entry = {parts[0]: {}}
+        if isinstance(entry, dict) and len(entry) == 1:
+            name, options = next(iter(entry.items()))
+            given = options.get("id", name) if isinstance(options, dict) else name
+            if parts[0] == given:
+                place, at = entry, (("stages", i, name))
+                break
+    else:
+        place, at, name = {parts[0]: {}}, ("stages", len(stages), parts[0]), parts[0]
+        stages.append(place)
+        document.overrides[at[:2]] = text
+    node = place
+    for part in [name, *parts[1:-1]]:
+        if node.get(part) is None:
+            node[part] = {}
+        node = node[part]
+        if not isinstance(node, dict):
+            raise ConfigError(f"--set {text}: '{part}' has no options")
+    if isinstance(value, str) and value.count(".") and Path(value).is_file():
+        value = _absolute(value)
+    node[parts[-1]] = value
+    return (*at, *parts[1:])
+
+
+def _absolute(value: Any) -> Any:
+    return str(Path.cwd() / value) if isinstance(value, str) else value
+
+
+# --- validation ----------------------------------------------------------------------------------------------------
+
+
+def _validated(model: type[BaseModel], data: Any, at: Loc, document: Document, problems: list[str]) -> Any:
+    try:
+        return model.model_validate_json(json.dumps(data))
+    except ValidationError as error:
+        for loc, text in explain(error, model, data):
+            full = (*at, *loc)
+            shown = ".".join(str(part) for part in full)
+            problems.append(f"{document.where(full)}: {shown}: {text}" if shown else f"{document.where(full)}: {text}")
+        return None
+
+
+def explain(error: ValidationError, model: type[BaseModel], data: Any) -> list[tuple[Loc, str]]:
+    """Turn pydantic's errors into (path, one line) pairs, those of a union's branches joined."""
+    grouped: dict[Loc, list[str]] = {}
+    tails: dict[Loc, str] = {}
+    for item in error.errors(include_url=False):
+        loc, value = _existing(item["loc"], data)
+        kind = item["type"]
+        if kind == "extra_forbidden":
+            texts, tail = ["unknown key"], did_you_mean(str(item["loc"][-1]), _known_keys(model, item["loc"][:-1]))
+        elif kind == "missing":
+            loc, texts, tail = tuple(item["loc"]), ["is missing"], ""
+        else:
+            message = item["msg"].removeprefix("Value error, ").removeprefix("Input ").strip()
+            shown = json.dumps(value, ensure_ascii=False)
+            texts, tail = [message], f" (got {shown if len(shown) <= 80 else shown[:77] + '...'})"
+        for text in texts:
+            if text not in grouped.setdefault(loc, []):
+                grouped[loc].append(text)
+        tails[loc] = tail
+    return [(loc, " or ".join(texts) + tails[loc]) for loc, texts in grouped.items()]
+
+
+def _existing(loc: Iterable[Any], data: Any) -> tuple[Loc, Any]:
+    """Cut the tags of union branches off a pydantic location: keep the part that exists in the data."""
+    kept: list[Any] = []
+    for part in loc:
+        if (isinstance(data, dict) and part in data) or (isinstance(data, list) and isinstance(part, int) and part < len(data)):
+            data = data[part]
+            kept.append(part)
+        elif not isinstance(data, dict | list):
+            break
+    return tuple(kept), data
+
+
+def _known_keys(model: Any, loc: Sequence[Any]) -> list[str]:
+    for part in loc:
+        fields = getattr(model, "model_fields", None)
+        if fields is None or part not in fields:
+            return []
+        model = _model_of(fields[part].annotation)
+    return list(getattr(model, "model_fields", {}))
+
+
+def _model_of(annotation: Any) -> Any:
+    if get_origin(annotation) in (Union, types.UnionType, Annotated):
+        return next((a for a in get_args(annotation) if hasattr(a, "model_fields")), None)
+    return annotation
+
+
+# --- the chain -----------------------------------------------------------------------------------------------------
+
+
+def _chain(document: Document, registry: Registry, problems: list[str]) -> list[_Entry]:
+    given = _entries(document, registry, problems)
+    anatomy = document.data.get("anatomy")
+    if anatomy is None:
+        chain: list[_Entry] = []
+        for entry, extra in given:
+            if "after" in extra:
+                problems.append(f"{document.where(entry.loc)}: {entry.id}: `after` needs an anatomy to insert into")
+            if any(other.id == entry.id for other in chain):
+                problems.append(
+                    f"{document.where(entry.loc)}: stages: '{entry.id}' occurs twice; tell them apart: "
+                    f"{entry.stage}: {{id: {entry.stage}-2}}"
+                )
+            elif not extra.get("skip"):
+                chain.append(entry)
+        return chain
+    where = document.where(("anatomy",))
+    try:
+        preset = find_preset(str(anatomy))
+    except ConfigError as error:
+        problems.append(f"{where}: anatomy: {error.fact.replace('unknown anatomy', 'unknown')}")
+        return []
+    chain = [_Entry(name, name, copy.deepcopy(dict(options)), {}, ("anatomy",)) for name, options in preset.stages]
+    seen: dict[str, Loc] = {}
+    for entry, extra in given:
+        line = document.where(entry.loc)
+        if entry.id in seen:
+            problems.append(f"{line}: stages: '{entry.id}' is given twice, first in {document.where(seen[entry.id])}")
+            continue
+        seen[entry.id] = entry.loc
+        at = next((i for i, step in enumerate(chain) if step.id == entry.id), None)
+        if at is not None and "after" in extra:
+            problems.append(
+                f"{line}: stages: '{entry.id}' is in the chain already; give the second one an id: "
+                f"{entry.stage}: {{id: {entry.stage}-2, after: {extra['after']}}}"
+            )
+        elif at is not None and extra.get("skip"):
+            del chain[at]
+        elif at is not None:
+            old = chain[at]
+            chain[at] = _Entry(old.id, old.stage, {**old.options, **entry.options}, entry.sources, entry.loc)
+        elif "after" in extra:
+            place = next((i for i, step in enumerate(chain) if step.id == extra["after"]), None)
+            if place is None:
+                problems.append(
+                    f"{line}: {entry.id}.after: no such step '{extra['after']}'"
+                    f"{did_you_mean(str(extra['after']), [s.id for s in chain])}"
+                )
+            else:
+                chain.insert(place + 1, entry)
+        elif not extra.get("skip"):
+            problems.append(
+                f"{line}: stages: '{entry.id}' is not part of the chain of {preset.name}; say where it goes "
+                f"({entry.stage}: {{after: {chain[0].id if chain else 'repair'}}}), or leave out anatomy and list all stages"
+            )
+    return chain
+
+
+def _entries(document: Document, registry: Registry, problems: list[str]) -> list[tuple[_Entry, dict[str, Any]]]:
+    stages = document.data.get("stages") or []
+    if not isinstance(stages, list):
+        return []
+    found = []
+    for i, item in enumerate(stages):
+        where = document.where(("stages", i))
+        if isinstance(item, str):
+            item = {item: None}
+        if not isinstance(item, dict) or len(item) != 1:
+            problems.append(f"{where}: stages.{i}: write one stage per entry: - decimate: {{n_faces: 10000}}")
+            continue
+        name, options = next(iter(item.items()))
+        loc: Loc = ("stages", i, name)
+        if name not in registry.names():
+            problems.append(f"{document.where(loc)}: stages.{i}: unknown stage '{name}'{did_you_mean(name, registry.names())}")
+            continue
+        if options is not None and not isinstance(options, dict):
+            problems.append(f"{document.where(loc)}: {name}: needs options as a mapping (got {json.dumps(options)[:60]})")
+            continue
+        options = dict(options or {})
+        extra = {key: options.pop(key) for key in RESERVED if key in options}
+        problem = _check_reserved(extra)
+        if problem:
+            problems.append(f"{document.where((*loc, problem[0]))}: {name}.{problem[0]}: {problem[1]}")
+            continue
+        found.append((_Entry(str(extra.get("id", name)), name, options, dict(extra.get("from") or {}), loc), extra))
+    return found
+
+
+def _check_reserved(extra: Mapping[str, Any]) -> tuple[str, str] | None:
+    for key, value in extra.items():
+        if key == "skip" and not isinstance(value, bool):
+            return key, f"must be true or false (got {json.dumps(value)})"
+        if key in ("id", "after") and not (isinstance(value, str) and ID.fullmatch(value) and "." not in value):
+            return key, f"must be a short name of letters, digits, '_' and '-' (got {json.dumps(value)})"
+        if key == "from" and not (isinstance(value, dict) and all(isinstance(v, str) for v in value.values())):
+            return key, f"must say which step each slot comes from, like {{mesh: repair}} (got {json.dumps(value)})"
+    return None
+
+
+def _step(entry: _Entry, document: Document, registry: Registry, base: Path, problems: list[str]) -> Step | None:
+    try:
+        stage = registry.load(entry.stage)
+    except ConfigError as error:
+        problems.append(f"{document.where(entry.loc)}: {error}")
+        return None
+    found = len(problems)
+    options = dict(entry.options)
+    files = _prepared_files(stage, options, base)
+    at = entry.loc if entry.loc != ("anatomy",) else ("stages", entry.id)
+    config = _validated(stage.config, options, at, document, problems)
+    for slot in entry.sources:
+        if slot not in {port.slot for port in stage.inputs}:
+            problems.append(
+                f"{document.where((*entry.loc, 'from', slot))}: {entry.id}.from.{slot}: {stage.name} reads no such slot"
+                f"{did_you_mean(slot, [port.slot for port in stage.inputs])}"
+            )
+    if config is None or len(problems) > found:
+        return None
+    resolved = config.model_dump(mode="json")
+    for slot, (sha, _) in files.items():
+        resolved[slot] = f"file:{sha}"  # the content counts, not where it lies
+    return Step(entry.id, stage, resolved, dict(entry.sources), files)
+
+
+def _prepared_files(stage: Stage, options: dict[str, Any], base: Path) -> dict[str, tuple[str, str]]:
+    """Return the prepared slots whose option of the same name is a file: its digest and path."""
+    files = {}
+    for port in stage.prepared:
+        value = options.get(port.slot)
+        if isinstance(value, str) and (base / value).is_file():
+            path = (base / value).resolve()
+            files[port.slot] = (file_digest(path), str(path))
+    return files
+
+
+def _enter(steps: list[Step], kinds: Mapping[str, str]) -> list[Step]:
+    """Let splines enter where the first surface is read: the per-shape steps before it have nothing to do."""
+    if "surface" not in kinds:
+        return steps
+    first = next((i for i, s in enumerate(steps) if any(p.slot == "surface" for p in s.stage.inputs)), 0)
+    return steps[first:]
+
+
+# --- the inputs ----------------------------------------------------------------------------------------------------
+
+
+def _sources(config: RunConfig, document: Document, base: Path, problems: list[str]) -> tuple[list[Source], list[str]]:
+    from ssmpipe.io.landmarks import read_landmarks
+    from ssmpipe.io.meshes import MESH_SUFFIXES
+    from ssmpipe.io.tables import read_cohort
+    from ssmpipe.runner.sources import SPLINE_SUFFIX
+
+    section = config.input
+    cohort: Any = None
+    landmarks: Any = None
+    at: tuple[str, ...] = ("input",)
+    try:
+        if section.cohort is not None:
+            at = ("input", "cohort")
+            cohort = read_cohort(base / section.cohort)
+        if section.landmarks is not None:
+            at = ("input", "landmarks")
+            landmarks = read_landmarks(base / section.landmarks)
+    except SsmpipeError as error:
+        problems.append(f"{document.where(at)}: {'.'.join(at)}: {error}")
+        return [], []
+    if section.roles and section.landmarks is None:
+        problems.append(f"{document.where(('input', 'roles'))}: input.roles: names landmarks, but input.landmarks is not set")
+    at = ("input", "scans")
+    try:
+        if section.scans is not None:
+            patterns = [section.scans] if isinstance(section.scans, str) else section.scans
+            files = by_id(scan_files([base / p for p in patterns], (*MESH_SUFFIXES, SPLINE_SUFFIX)))
+        else:
+            files = _cohort_files(cohort, base / section.cohort) if cohort and section.cohort else {}
+        if not files:
+            raise ConfigError("no scans given", "set input.scans, or give the cohort table a column 'path'")
+        strange = sorted(p.name for p in files.values() if p.suffix.lower() not in (*MESH_SUFFIXES, SPLINE_SUFFIX))
+        if strange:
+            raise ConfigError(
+                f"{strange[0]} is not a surface file", f"supported are {' '.join((*MESH_SUFFIXES, SPLINE_SUFFIX))}"
+            )
+        preset = PRESETS.get(config.anatomy or "")
+        return find_sources(
+            files,
+            cohort=cohort,
+            landmarks=landmarks,
+            units=section.units,
+            roles=dict(section.roles),
+            diagonal_mm=preset.diagonal_mm if preset else None,
+            anatomy=config.anatomy or "",
+            tolerance_mm=section.landmark_tolerance,
+        )
+    except (ConfigError, ArtifactError) as error:
+        problems.append(f"{document.where(at)}: {'.'.join(at)}: {error}")
+        return [], []
+
+
+def _cohort_files(cohort: Mapping[str, Mapping[str, str]], path: Path) -> dict[str, Path]:
+    files = {}
+    for shape_id, row in cohort.items():
+        if not row.get("path"):
+            continue
+        if not ID.fullmatch(shape_id):
+            raise ConfigError(f"'{shape_id}' cannot serve as shape id", "use up to 64 letters, digits, '.', '_' or '-'")
+        files[shape_id] = path.parent / row["path"]
+        if not files[shape_id].is_file():
+            raise ConfigError(f"cohort table, shape '{shape_id}': the scan {files[shape_id]} does not exist")
+    return files

@@ -1,0 +1,92 @@
+"""Anatomies as plain data: topology, order of the stages, options that differ from the stages' own defaults."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ssmpipe.core.errors import ConfigError
+from ssmpipe.runner.suggest import did_you_mean
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A chain of stages that suits one anatomy.
+
+    Parameters
+    ----------
+    name, summary : str
+    topology : str
+        Of the surface that is modelled: ``disk``, ``tube`` ...
+    stages : tuple of (str, dict)
+        Stage names in order, with overrides of their defaults.
+    diagonal_mm : (float, float), optional
+        Plausible range of a scan's bounding-box diagonal [mm]; outside of it the units are wrong.
+    needs_side : bool
+        Whether left and right occur and must be told apart.
+    """
+
+    name: str
+    summary: str
+    topology: str
+    stages: tuple[tuple[str, Mapping[str, Any]], ...]
+    diagonal_mm: tuple[float, float] | None = None
+    needs_side: bool = False
+
+
+_GROUP: tuple[tuple[str, Mapping[str, Any]], ...] = (("optimize", {}), ("model", {}), ("evaluate", {}), ("report", {}))
+
+PRESETS: Mapping[str, Preset] = {
+    preset.name: preset
+    for preset in (
+        Preset(
+            name="femur-distal",
+            summary="distal femur, cut from a closed surface of the bone",
+            topology="disk",
+            stages=(
+                ("repair", {}),
+                ("orient", {}),
+                ("trim", {}),
+                ("smooth", {}),
+                ("decimate", {}),
+                ("align", {}),
+                ("parameterize", {}),
+                ("sample", {}),
+                ("fit", {}),
+                *_GROUP,
+            ),
+            diagonal_mm=(60.0, 700.0),
+            needs_side=True,
+        ),
+        Preset(
+            name="disk",
+            summary="any surface with one boundary loop, used as it is",
+            topology="disk",
+            stages=(
+                ("repair", {}),
+                ("orient", {}),
+                ("smooth", {}),
+                ("decimate", {}),
+                ("align", {}),
+                ("parameterize", {}),
+                ("sample", {}),
+                ("fit", {}),
+                *_GROUP,
+            ),
+        ),
+    )
+}
+
+
+def find_preset(name: str) -> Preset:
+    """Return a preset by name.
+
+    Raises
+    ------
+    ConfigError
+        If there is none; the message lists those that exist.
+    """
+    if name not in PRESETS:
+        raise ConfigError(f"unknown anatomy '{name}'{did_you_mean(name, PRESETS)}")
+    return PRESETS[name]

@@ -1,0 +1,457 @@
+"""A whole run: segments of the chain in order, failures set aside, records written; the one place that decides exit codes."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import shutil
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ssmpipe.core.errors import ConfigError, SsmpipeError
+from ssmpipe.runner.batch import COHORT, Batch, Failure, Job, Outcome
+from ssmpipe.runner.config import Project
+from ssmpipe.runner.console import Console
+from ssmpipe.runner.execute import DiskError, TaskRecord, disk_errors, write_atomically
+from ssmpipe.runner.lock import locked
+from ssmpipe.runner.plan import SCAN, PlannedStep, segments, select
+from ssmpipe.runner.record import read_failures, run_record, write_failures
+from ssmpipe.runner.registry import REPORT
+from ssmpipe.runner.suggest import did_you_mean
+from ssmpipe.runner.workspace import Forecast, Workspace, forecast, prepare_members
+
+SCRATCH = ".work"
+MAX_JOBS = 8
+OK, INTERNAL, USAGE, QUARANTINED, IO_ERROR, LOCKED, INTERRUPTED = 0, 1, 2, 3, 74, 75, 130
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """What the command line of ``run`` says; ``forced`` is a set of step ids, or ``{"*"}`` for all."""
+
+    first: str | None = None
+    last: str | None = None
+    only: tuple[str, ...] = ()
+    shapes: tuple[str, ...] = ()
+    forced: frozenset[str] = frozenset()
+    jobs: int | None = None
+    part: tuple[int, int] | None = None
+
+
+@dataclass
+class RunResult:
+    """What came out: exit code, shapes that went through, failures, and the report when there is one."""
+
+    exit_code: int
+    ok: list[str]
+    failures: dict[str, Failure]
+    report: Path | None
+    seconds: float
+    n_run: int = 0
+    n_current: int = 0
+    problem: str = ""
+
+
+def default_jobs() -> int:
+    """Return the number of processors that may be used, at most 8."""
+    try:
+        available = len(os.sched_getaffinity(0))
+    except AttributeError:
+        available = os.cpu_count() or 1
+    return max(1, min(available, MAX_JOBS))
+
+
+def make_workspace(project: Project, part: tuple[int, int] | None = None) -> Workspace:
+    """Return the workspace of a project's output folder."""
+    scratch = project.out / SCRATCH
+    if part is not None:
+        scratch = scratch / f"part-{part[0]}-of-{part[1]}"
+    return Workspace(project.out, project.plan, project.sources, project.config.seed, project.registry, scratch)
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Steps and shapes of a run; ``partial`` when not all shapes are in it, and group stages therefore are not run."""
+
+    steps: tuple[PlannedStep, ...]
+    shapes: tuple[str, ...]
+    forced: frozenset[str]
+    partial: bool
+    dropped: tuple[str, ...]
+
+
+def make_selection(project: Project, options: RunOptions) -> Selection:
+    """Check names and select steps and shapes.
+
+    Raises
+    ------
+    ConfigError
+        If a step or shape does not exist, or options contradict each other.
+    """
+    names = [step.id for step in project.plan.steps]
+    asked = [n for n in (options.first, options.last, *options.only, *options.forced) if n and n != "*"]
+    for name in asked:
+        if name not in names:
+            raise ConfigError(f"there is no stage '{name}' in this chain{did_you_mean(name, names)}")
+    if options.only and (options.first or options.last):
+        raise ConfigError("--only cannot be combined with --from and --to")
+    steps = select(project.plan, first=options.first, last=options.last, only=options.only)
+    if not steps:
+        raise ConfigError(f"--from {options.first} --to {options.last} selects no stage", "swap them")
+    everyone = sorted(project.sources)
+    for shape in options.shapes:
+        if shape not in project.sources:
+            raise ConfigError(f"there is no shape '{shape}'{did_you_mean(shape, everyone)}")
+    shapes = [i for i in everyone if not options.shapes or i in options.shapes]
+    if options.part is not None:
+        number, total = options.part
+        if not 1 <= number <= total:
+            raise ConfigError(f"--part {number}/{total}: the first number must be between 1 and the second")
+        shapes = shapes[number - 1 :: total]
+    partial = options.part is not None or bool(options.shapes)
+    dropped = tuple(step.id for step in steps if step.scope == "cohort") if partial else ()
+    steps = tuple(step for step in steps if step.id not in dropped)
+    if not steps:
+        raise ConfigError("group stages need all shapes", "leave out --shape and --part")
+    forced = frozenset(s.id for s in steps) if "*" in options.forced else options.forced
+    return Selection(steps, tuple(shapes), forced, partial, dropped)
+
+
+def dry_run(project: Project, options: RunOptions) -> list[Forecast]:
+    """Return what a run would do, without touching the output folder."""
+    chosen = make_selection(project, options)
+    workspace = make_workspace(project)
+    ready = {s.id for s in chosen.steps if s.prepares and chosen.partial and workspace.prepared_is_usable(s)}
+    return forecast(workspace, chosen.steps, chosen.shapes, chosen.forced, ready)
+
+
+def run_project(project: Project, options: RunOptions, console: Console) -> RunResult:
+    """Run a project.
+
+    Raises
+    ------
+    ConfigError
+        If the options cannot be followed.
+    LockHeldError
+        If another run holds the output folder.
+    DiskError
+        If the output cannot be written.
+    """
+    chosen = make_selection(project, options)
+    part = f"{options.part[0]}-of-{options.part[1]}" if options.part else None
+    with locked(project.out, part):
+        return _Run(project, options, chosen, console).go()
+
+
+@dataclass
+class _Run:
+    """State of a run in the parent process."""
+
+    project: Project
+    options: RunOptions
+    chosen: Selection
+    console: Console
+    failures: dict[str, Failure] = field(default_factory=dict)
+    records: dict[tuple[str, str | None], TaskRecord] = field(default_factory=dict)
+    problem: str = ""
+    exit_code: int = OK
+
+    def go(self) -> RunResult:
+        """Run all segments and write the records."""
+        begin, clock = time.time(), time.perf_counter()
+        self.workspace = make_workspace(self.project, self.options.part)
+        self._tidy()
+        self.earlier = read_failures(self.project.out)
+        for warning in self.project.warnings:
+            self.console.warn(warning)
+        if self.chosen.dropped:
+            self.console.say(f"not all shapes are selected, so group stages are left out: {', '.join(self.chosen.dropped)}")
+        jobs = self.options.jobs or default_jobs()
+        limits = self.project.config.limits
+        batch = Batch(
+            jobs=min(jobs, max(1, len(self.chosen.shapes))),
+            scratch=self.workspace.scratch,
+            timeout_s=limits.timeout_s,
+            memory_mb=limits.memory_mb,
+            on_event=self.console.event,
+        )
+        report: Path | None = None
+        try:
+            with self.console, batch:
+                self.alive = list(self._start_shapes())
+                for kind, steps in segments(self.chosen.steps):
+                    if kind == "shape":
+                        self._shapes(batch, steps)
+                    elif kind == "prepare":
+                        self._prepare(batch, steps[0])
+                    elif steps[0].stage != REPORT:
+                        self._cohort(batch, steps[0])
+                    if self.problem:
+                        break
+        finally:
+            self._write_failures()
+        seconds = time.perf_counter() - clock
+        totals = {
+            "start": time.strftime("%Y-%m-%dT%H:%M:%S%z", time.localtime(begin)),
+            "seconds": round(seconds, 3),
+            "jobs": jobs,
+            "peak_rss_mb": round(batch.peak_rss_mb, 1),
+        }
+        wants_report = any(step.stage == REPORT for step in self.chosen.steps)
+        if wants_report and not self.problem:
+            report = self._report(totals)
+        self._write_run(totals)
+        ok = [i for i in self.chosen.shapes if i not in self.failures]
+        if self.failures and self.exit_code == OK:
+            self.exit_code = QUARANTINED
+        if self.exit_code == OK:
+            shutil.rmtree(self.workspace.scratch, ignore_errors=True)
+        return RunResult(
+            exit_code=self.exit_code,
+            ok=ok,
+            failures=self.failures,
+            report=report,
+            seconds=time.perf_counter() - clock,
+            n_run=sum(r.status == "done" for r in self.records.values()),
+            n_current=sum(r.status == "up to date" for r in self.records.values()),
+            problem=self.problem,
+        )
+
+    def _tidy(self) -> None:
+        """Sweep what a killed run left behind; give folders their new number when the chain was changed."""
+        with disk_errors():
+            shutil.rmtree(self.workspace.scratch, ignore_errors=True)
+            self.workspace.scratch.mkdir(parents=True)
+            for shape in self.chosen.shapes:
+                home = self.project.out / "shapes" / shape
+                for step in self.project.plan.steps:
+                    if step.scope == "shape" and not (home / step.folder).exists():
+                        old = sorted(home.glob(f"[0-9][0-9]-{step.id}"))
+                        if len(old) == 1:
+                            old[0].rename(home / step.folder)
+            cohort = self.project.out / "cohort"
+            for step in self.project.plan.steps:
+                target = self.workspace.prepared_folder(step)
+                if step.prepares and not target.exists():
+                    old = sorted(cohort.glob(f"[0-9][0-9]-{step.id}-prepare"))
+                    if len(old) == 1:
+                        old[0].rename(target)
+
+    def _start_shapes(self) -> Sequence[str]:
+        """Return the shapes to begin with: those selected, and those that a preparation needs besides."""
+        wanted = set(self.chosen.shapes)
+        for step in self.chosen.steps:
+            if not (self.chosen.partial and step.prepares) or self.workspace.prepared_is_usable(step):
+                continue
+            members = prepare_members(step, sorted(self.project.sources))
+            if self.options.part is not None and not set(members) <= wanted:
+                slot = step.prepared[0].slot
+                raise ConfigError(
+                    f"--part: '{step.id}' has to make its {slot} from {len(members)} shapes, and this part has not all of them",
+                    f"name a shape or a file in stages.{step.id}.{slot}, or run the parts up to the stage before (--to) and "
+                    f"then 'run --only {step.id}' once",
+                )
+            wanted |= set(members)
+        return sorted(wanted)
+
+    # --- segments ---
+
+    def _shapes(self, batch: Batch, steps: list[PlannedStep]) -> None:
+        wanted = [i for i in self.alive if i not in self.failures and not self._blocked(i, steps[0])]
+        wanted = self._with_inputs(steps, wanted)
+        self.workspace.forget()
+        ready = {step.id for step in steps}
+        plans = forecast(self.workspace, steps, wanted, self.chosen.forced, ready)
+        busy = {f.shape for f in plans if f.run}
+        for item in plans:
+            if item.shape not in busy:
+                self._note_current(item.step, item.shape)
+        names = tuple(step.id for step in steps)
+        text = names[0] if len(names) == 1 else f"{names[0]} ... {names[-1]}"
+        current = len(wanted) - len(busy)
+        if current:
+            self.console.say(f"{text}: {current} of {len(wanted)} shapes are up to date", level=0 if not busy else 1)
+        jobs = [
+            Job(self.workspace.only([shape]), names, shape, (shape,), self.chosen.forced & set(names))
+            for shape in wanted
+            if shape in busy
+        ]
+        self.console.begin(text, len(jobs) * len(names))
+        for job in jobs:
+            for item in plans:
+                if item.shape == job.shape and item.run:
+                    self.console.say(f"  {item.shape} {item.step}: {item.reason}", level=2)
+        done = [0]
+
+        def finished(job: Job, outcome: Outcome) -> None:
+            done[0] += 1
+            self._take(outcome)
+            seconds = sum(r.seconds for r in outcome.records)
+            n_run = sum(r.status == "done" for r in outcome.records)
+            if outcome.failure is None:
+                noun = "stage" if n_run == 1 else "stages"
+                self.console.say(f"[{done[0]}/{len(jobs)}] {job.shape}: {n_run} {noun} run, {seconds:.1f} s")
+
+        batch.run(jobs, finished)
+        self.workspace.forget()
+
+    def _blocked(self, shape: str, step: PlannedStep) -> bool:
+        """Whether a shape failed in an earlier run before ``step``, in a stage that this run does not repeat."""
+        stage = self.earlier.get(shape, {}).get("stage")
+        before = [s.id for s in self.project.plan.steps if s.number < step.number and s not in self.chosen.steps]
+        return stage in before
+
+    def _with_inputs(self, steps: list[PlannedStep], ids: list[str]) -> list[str]:
+        """Leave out shapes whose inputs from outside this run do not exist; refuse when that leaves none."""
+        inside = {step.id for step in self.chosen.steps}
+        missing: dict[str, str] = {}
+        for step in steps:
+            for slot, producer in step.inputs.items():
+                if producer is None or producer.step == SCAN or producer.step in inside or producer.prepared:
+                    continue
+                for shape in ids:
+                    if self.workspace.produced(producer, shape)[1] is None:
+                        missing.setdefault(shape, f"stage '{step.id}' needs '{slot}' of stage '{producer.step}'")
+        if missing and len(missing) == len(ids):
+            raise ConfigError(f"{next(iter(missing.values()))}, which has not been run", "leave out --only or --from")
+        for shape, what in missing.items():
+            if shape not in self.earlier:
+                self.console.warn(f"{shape}: left out: {what}, which has not been run for it")
+        return [i for i in ids if i not in missing]
+
+    def _prepare(self, batch: Batch, step: PlannedStep) -> None:
+        if self.chosen.partial and step.id not in self.chosen.forced and self.workspace.prepared_is_usable(step):
+            self.alive = [i for i in self.alive if i in self.chosen.shapes]
+            return
+        everyone = sorted(self.project.sources)
+        members = prepare_members(step, everyone)
+        named = len(members) == 1 < len(everyone)
+        gone = [i for i in members if i in self.failures or (i not in self.alive and i in self.earlier)]
+        if named and gone:
+            self._stop(f"'{step.id}': its reference shape {members[0]} failed; choose another one", QUARANTINED)
+            return
+        ids = [i for i in members if i not in gone]
+        ids = self._with_inputs([step], ids)
+        if not ids:
+            self._stop(f"'{step.id}': no shape is left", QUARANTINED)
+            return
+        self._group_job(batch, Job(self.workspace.only(ids), (step.id,), None, tuple(ids), self.chosen.forced, prepare=True))
+        self.alive = [i for i in self.alive if i in self.chosen.shapes]
+
+    def _cohort(self, batch: Batch, step: PlannedStep) -> None:
+        everyone = sorted(self.project.sources)
+        gone = self._remaining_failures()
+        ids = [i for i in everyone if i not in gone]
+        if any(p.scope == "shape" for p in step.upstream):
+            ids = self._with_inputs([step], ids)
+        config = self.project.config
+        needs = f"'{step.id}' was not run: {len(ids)} of {len(everyone)} shapes are left"
+        if len(ids) < config.min_shapes:
+            self._stop(f"{needs}, at least {config.min_shapes} are needed (min_shapes)", QUARANTINED)
+        elif len(everyone) - len(ids) > config.max_failed_fraction * len(everyone):
+            self._stop(f"{needs}, more than {config.max_failed_fraction:g} failed (max_failed_fraction)", QUARANTINED)
+        else:
+            self._group_job(batch, Job(self.workspace.only(ids), (step.id,), None, tuple(ids), self.chosen.forced))
+
+    def _group_job(self, batch: Batch, job: Job) -> None:
+        step = self.project.plan.step(job.steps[0])
+        self.workspace.forget()
+        name = f"{step.id} (prepare)" if job.prepare else step.id
+        try:
+            decision = self.workspace.decision(
+                step, None, job.ids, prepare=job.prepare, force=step.id in self.chosen.forced
+            )
+        except SsmpipeError as error:
+            self._stop(f"{name}: {error}", QUARANTINED)
+            return
+        if not decision.run:
+            if not job.prepare:
+                self._note_current(step.id, "")
+            self.console.say(f"{name}: up to date")
+            return
+        self.console.begin(name, 1)
+        self.console.say(f"  {name}: {decision.reason}", level=2)
+
+        def finished(job: Job, outcome: Outcome) -> None:
+            self._take(outcome)
+            if outcome.failure is not None:
+                internal = outcome.failure.internal
+                self._stop(outcome.failure.line, INTERNAL if internal else QUARANTINED, say=False)
+            else:
+                self.console.say(f"{name}: {len(job.ids)} shapes, {sum(r.seconds for r in outcome.records):.1f} s")
+
+        batch.run([job], finished)
+        self.workspace.forget()
+        if job.prepare:
+            self.records.pop((step.id, None), None)
+
+    # --- bookkeeping ---
+
+    def _take(self, outcome: Outcome) -> None:
+        for record in outcome.records:
+            self.records[(record.step, record.shape)] = record
+            for warning in record.warnings if record.status == "done" else ():
+                self.console.warn(f"{record.shape or 'cohort'}, {record.step}: {warning}")
+        if outcome.failure is not None:
+            self.failures[outcome.failure.shape] = outcome.failure
+            self.console.error(f"failed: {outcome.failure.line}")
+
+    def _note_current(self, step: str, shape: str) -> None:
+        planned = self.project.plan.step(step)
+        folder = self.workspace.folder(planned, shape or None)
+        manifest = self.workspace.manifest(folder)
+        if manifest is not None:
+            self.records[(step, shape or None)] = TaskRecord(
+                step, shape or None, "up to date", "up to date", manifest.request.fingerprint, manifest.metrics, manifest.warnings
+            )
+
+    def _stop(self, problem: str, exit_code: int, *, say: bool = True) -> None:
+        self.problem, self.exit_code = problem, exit_code
+        if say:
+            self.console.error(problem)
+
+    def _remaining_failures(self) -> dict[str, dict[str, str]]:
+        """Failures of this run, and those of earlier runs for shapes that this run did not touch."""
+        touched = {shape for (_, shape) in self.records if shape is not None}
+        inside = {step.id for step in self.chosen.steps}
+        kept = {
+            key: value
+            for key, value in self.earlier.items()
+            if (key in self.project.sources and (key not in touched or value.get("stage") not in inside))
+            or (key == COHORT and value.get("stage") not in inside)
+        }
+        now = {key: {"stage": f.stage, "error": f.error, "remedy": f.remedy} for key, f in self.failures.items()}
+        return {**kept, **now}
+
+    def _write_failures(self) -> None:
+        write_failures(self.project.out, self._remaining_failures(), parts=self.options.part is not None)
+
+    def _write_run(self, totals: dict[str, Any]) -> None:
+        record = run_record(self.project, self.workspace, self._remaining_failures(), self.records, totals, machine())
+        name = "run.json" if self.options.part is None else f"run.part-{self.options.part[0]}-of-{self.options.part[1]}.json"
+        write_atomically(self.project.out / name, json.dumps(record, indent=1, ensure_ascii=False) + "\n")
+
+    def _report(self, totals: dict[str, Any]) -> Path | None:
+        from ssmpipe.runner.reporting import write_report
+
+        step = next(s for s in self.chosen.steps if s.stage == REPORT)
+        record = run_record(self.project, self.workspace, self._remaining_failures(), self.records, totals, machine())
+        try:
+            path, task = write_report(self.project, self.workspace, step, record, force=step.id in self.chosen.forced)
+        except DiskError:
+            raise
+        except SsmpipeError as error:
+            self._stop(f"report: {error}", QUARANTINED)
+            return None
+        self.records[(step.id, None)] = task
+        self.console.say(f"report: {'up to date' if task.status == 'up to date' else f'{task.seconds:.1f} s'}")
+        return path
+
+
+def machine() -> dict[str, Any]:
+    """Return what the run was made on."""
+    return {"system": platform.platform(), "processor": platform.machine(), "n_cpu": os.cpu_count(), "host": platform.node()}

@@ -1,0 +1,285 @@
+"""The scans: found, named, checked, and offered to the chain as its first slots.
+
+The original files are only ever read. A surface becomes the slots ``mesh`` (in mm), ``transform`` (unit factor),
+``landmarks`` and ``info``; a spline file (``.npz``) becomes ``surface`` instead of ``mesh``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from ssmpipe.core.errors import ArtifactError, ConfigError, GeometryError, LandmarkError, SsmpipeError
+from ssmpipe.runner.fingerprint import digest, file_digest
+
+ID = re.compile(r"(?!\.)[A-Za-z0-9._-]{1,64}")
+TO_MM: Mapping[str, float] = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001, "none": 1.0}
+SPLINE_SUFFIX = ".npz"
+WARN_MM = 5.0
+KINDS_OF_MESH: Mapping[str, str] = {"mesh": "trimesh", "transform": "transform", "landmarks": "landmarks", "info": "info"}
+KINDS_OF_SPLINE: Mapping[str, str] = {
+    "surface": "surface",
+    "transform": "transform",
+    "landmarks": "landmarks",
+    "info": "info",
+}
+_SIDES = {"l": "L", "left": "L", "r": "R", "right": "R", "": None}
+
+
+@dataclass(frozen=True)
+class Source:
+    """One scan and what the config, the cohort table and the landmark file say of it.
+
+    Parameters
+    ----------
+    id : str
+    path : Path
+    units : str
+        Of the file: a key of ``TO_MM``.
+    landmarks : dict of (x, y, z), optional
+        In file units; None when the landmark file has no entry for this shape.
+    roles : dict of str
+    side : {"L", "R", None}
+    columns : dict of str
+    diagonal_mm : (float, float), optional
+        Plausible range of the bounding-box diagonal, and the preset that says so in ``anatomy``.
+    tolerance_mm : float
+        A landmark farther from its surface than this is refused.
+    """
+
+    id: str
+    path: Path
+    units: str = "mm"
+    landmarks: Mapping[str, tuple[float, ...]] | None = None
+    roles: Mapping[str, str] = field(default_factory=dict)
+    side: str | None = None
+    columns: Mapping[str, str] = field(default_factory=dict)
+    diagonal_mm: tuple[float, float] | None = None
+    anatomy: str = ""
+    tolerance_mm: float = 20.0
+
+    @property
+    def is_spline(self) -> bool:
+        """Whether the file is a B-spline rather than a mesh."""
+        return self.path.suffix.lower() == SPLINE_SUFFIX
+
+    @property
+    def kinds(self) -> Mapping[str, str]:
+        """Slots that this source offers, with their kinds."""
+        return KINDS_OF_SPLINE if self.is_spline else KINDS_OF_MESH
+
+    def digest(self, slot: str) -> str:
+        """Return the content digest of a slot; an unreadable file raises ArtifactError."""
+        factor = TO_MM[self.units]
+        if slot == "transform":
+            return digest(["unit", factor])
+        if slot == "landmarks":
+            return digest(["landmarks", dict(self.landmarks or {}), dict(self.roles), factor])
+        if slot == "info":
+            return digest(["info", self.id, self.side, dict(self.columns)])
+        try:
+            state = self.path.stat()
+            return digest(["scan", _scan_digest(self.path, state.st_size, state.st_mtime_ns), factor])
+        except OSError as error:
+            raise ArtifactError(f"the file cannot be read ({error.strerror or error})", "check path and permissions") from error
+
+    def load(self) -> dict[str, Any]:
+        """Read and check the scan; return the artifacts by slot, with warnings under ``"warnings"``.
+
+        Raises
+        ------
+        SsmpipeError
+            If the file is not a surface, its size does not fit the anatomy, or a landmark is far from the surface.
+        """
+        import numpy as np
+
+        from ssmpipe.contract import Landmarks, ShapeInfo
+
+        factor = TO_MM[self.units]
+        marks = Landmarks(
+            {name: factor * np.array(p, dtype=np.float64) for name, p in (self.landmarks or {}).items()}, dict(self.roles)
+        )
+        common = {
+            "transform": np.diag([factor, factor, factor, 1.0]),
+            "landmarks": marks,
+            "info": ShapeInfo(self.id, self.side, dict(self.columns)),
+        }
+        if self.is_spline:
+            return {"surface": self._surface(factor), **common, "warnings": []}
+        from ssmpipe.core.mesh.trimesh import TriMesh
+        from ssmpipe.io.meshes import read_mesh
+
+        mesh = read_mesh(self.path)
+        if factor != 1.0:
+            mesh = TriMesh(mesh.vertices * factor, mesh.faces)
+        check_size(mesh, self.diagonal_mm, self.anatomy, self.units)
+        warnings = check_landmarks(mesh, marks.points, self.tolerance_mm, self.units)
+        return {"mesh": mesh, **common, "warnings": warnings}
+
+    def _surface(self, factor: float) -> Any:
+        from ssmpipe.core.spline.surface import BSplineSurface
+        from ssmpipe.io.splines import read_surface
+
+        surface = read_surface(self.path)
+        if factor == 1.0:
+            return surface
+        return BSplineSurface(surface.degree, surface.knots_u, surface.knots_v, surface.control_points * factor)
+
+
+@lru_cache(maxsize=100_000)
+def _scan_digest(path: Path, size: int, mtime_ns: int) -> str:
+    """Digest of a file that is not read again in this process while its size and time stay the same."""
+    return file_digest(path)
+
+
+def check_size(mesh: Any, limits: tuple[float, float] | None, anatomy: str, units: str) -> float:
+    """Return the bounding-box diagonal [mm]; raise GeometryError when it cannot be this anatomy, naming better units."""
+    import numpy as np
+
+    diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    if limits is None or units == "none" or limits[0] <= diagonal <= limits[1]:
+        return diagonal
+    raw = diagonal / TO_MM[units]
+    fits = [name for name, f in TO_MM.items() if name != "none" and limits[0] <= raw * f <= limits[1]]
+    remedy = f"set input.units: {fits[0]}" if fits else "check that the file shows the right bone, and its units"
+    raise GeometryError(f"bounding box diagonal is {diagonal:.3g} mm, {anatomy} expects {limits[0]:g}-{limits[1]:g} mm", remedy)
+
+
+def landmark_distances(mesh: Any, points: Mapping[str, Any]) -> dict[str, float]:
+    """Return the distance of every landmark to the surface [mm]."""
+    import numpy as np
+
+    from ssmpipe.core.mesh.distance import point_to_mesh
+
+    if not points:
+        return {}
+    names = sorted(points)
+    distances = point_to_mesh(np.array([points[name] for name in names]), mesh)[0]
+    return {name: float(d) for name, d in zip(names, distances, strict=True)}
+
+
+def check_landmarks(mesh: Any, points: Mapping[str, Any], tolerance_mm: float, units: str) -> list[str]:
+    """Return warnings for landmarks more than 5 mm off the surface.
+
+    Raises
+    ------
+    LandmarkError
+        If one is farther off than ``tolerance_mm``; with units ``none`` the limit is a twentieth of the scan's diagonal.
+    """
+    import numpy as np
+
+    limit, warn, unit = tolerance_mm, min(WARN_MM, tolerance_mm), "mm"
+    if units == "none":
+        limit, unit = 0.05 * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0))), "file units"
+        warn = limit / 4
+    distances = landmark_distances(mesh, points)
+    far = sorted((d, name) for name, d in distances.items() if d > limit)
+    if far:
+        listed = ", ".join(f"'{name}' is {d:.1f} {unit}" for d, name in reversed(far[-3:]))
+        more = f" (and {len(far) - 3} more)" if len(far) > 3 else ""
+        raise LandmarkError(
+            f"landmark {listed} away from the surface{more}, at most {limit:.3g} is accepted",
+            "check that landmarks and scan belong together and have the same units, or raise input.landmark_tolerance",
+        )
+    return [
+        f"landmark '{name}' is {d:.1f} {unit} away from the surface; check that it belongs to this scan"
+        for name, d in distances.items()
+        if d > warn
+    ]
+
+
+def scan_files(patterns: Sequence[Path], suffixes: Sequence[str]) -> list[Path]:
+    """Return the scan files that paths, folders and glob patterns stand for, without doubles, sorted by name.
+
+    Raises
+    ------
+    ConfigError
+        If a path does not exist, or nothing is found.
+    """
+    found: dict[Path, None] = {}
+    for pattern in patterns:
+        if any(c in str(pattern) for c in "*?["):
+            anchor = Path(pattern.anchor) if pattern.anchor else Path()
+            hits = sorted(anchor.glob(str(pattern.relative_to(anchor))))
+            hits = [p for p in hits if p.is_file()]
+        elif pattern.is_dir():
+            hits = sorted(p for p in pattern.iterdir() if p.is_file() and p.suffix.lower() in suffixes)
+            if not hits:
+                raise ConfigError(f"no scans in the folder {pattern}", f"put files of type {' '.join(suffixes)} there")
+        elif pattern.exists():
+            hits = [pattern]
+        else:
+            raise ConfigError(f"the scan {pattern} does not exist", "check input.scans; paths are relative to the config file")
+        if not hits:
+            raise ConfigError(f"no scans match {pattern}", "check input.scans; paths are relative to the config file")
+        found.update(dict.fromkeys(hits))
+    return sorted(found, key=lambda p: (p.stem, str(p)))
+
+
+def find_sources(
+    files: Mapping[str, Path],
+    *,
+    cohort: Mapping[str, Mapping[str, str]] | None = None,
+    landmarks: Mapping[str, Mapping[str, Any]] | None = None,
+    **common: Any,
+) -> tuple[list[Source], list[str]]:
+    """Join scan files, cohort table and landmarks by shape id; return the sources, sorted, and warnings.
+
+    Raises
+    ------
+    ConfigError
+        If a side is neither left nor right.
+    """
+    sources, warnings = [], []
+    for shape_id in sorted(files):
+        row = dict(cohort.get(shape_id, {})) if cohort is not None else {}
+        if cohort is not None and shape_id not in cohort:
+            warnings.append(f"{shape_id}: no row in the cohort table; add one, or its side and group stay unknown")
+        text = row.pop("side", "").strip()
+        if text.lower() not in _SIDES:
+            raise ConfigError(f"cohort table, shape '{shape_id}': side is '{text}'", "write L or R")
+        row.pop("path", None)
+        points = (landmarks or {}).get(shape_id)
+        if landmarks is not None and points is None:
+            warnings.append(f"{shape_id}: no landmarks in the landmark file; stages that need a named one will refuse it")
+        plain = None if points is None else {name: tuple(float(x) for x in p) for name, p in points.items()}
+        sources.append(
+            Source(shape_id, files[shape_id], landmarks=plain, side=_SIDES[text.lower()], columns=row, **common)
+        )
+    for name, table in (("cohort table", cohort), ("landmark file", landmarks)):
+        extra = sorted(set(table or {}) - set(files))
+        if extra:
+            shown = ", ".join(extra[:3]) + (", ..." if len(extra) > 3 else "")
+            warnings.append(f"{name}: {len(extra)} entries have no scan ({shown})")
+    return sources, warnings
+
+
+def by_id(paths: Sequence[Path]) -> dict[str, Path]:
+    """Return shape id (file name without suffix) to path.
+
+    Raises
+    ------
+    ConfigError
+        If a name cannot serve as id, or two files have the same.
+    """
+    files: dict[str, Path] = {}
+    for path in paths:
+        shape_id = path.stem
+        if not ID.fullmatch(shape_id):
+            raise ConfigError(
+                f"'{path.name}' cannot serve as shape id", "use up to 64 letters, digits, '.', '_' or '-', no leading '.'"
+            )
+        if shape_id in files:
+            raise ConfigError(f"two scans have the id '{shape_id}': {files[shape_id]} and {path}", "rename one of them")
+        files[shape_id] = path
+    return files
+
+
+def describe(error: SsmpipeError, *parts: str) -> str:
+    """Return one line: where, fact, remedy."""
+    where = ", ".join(part for part in parts if part)
+    return f"{where}: {error}" if where else str(error)
