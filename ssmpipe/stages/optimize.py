@@ -43,9 +43,15 @@ class Config(StageConfig):
         Field(description="Variance below which a mode counts as noise [mm^2]; auto: (RMS radius / 1000)^2."),
     ] = "auto"
     pose: Annotated[
-        Literal["procrustes", "keep"],
-        Field(description="procrustes: refine the rigid poses once before the optimization; keep: as aligned."),
+        Literal["refined", "procrustes", "keep"],
+        Field(
+            description="Rigid poses. keep: as aligned; procrustes: refined once before, from the initial correspondence; "
+            "refined: refined from the optimized correspondence, pose_rounds times."
+        ),
     ] = _DEFAULT.pose
+    pose_rounds: Annotated[int, Field(ge=0, description="Refinements of the poses when pose is refined.")] = (
+        _DEFAULT.pose_rounds
+    )
     remove_size: Annotated[bool, Field(description="Remove sizes inside the objective only; results keep them.")] = (
         _DEFAULT.remove_size
     )
@@ -85,7 +91,7 @@ def run(
     def record(row: dict[str, float]) -> None:
         elapsed.append(time.perf_counter() - start)
         text = f"description length {row['description_length']:.3f}, smallest Jacobian bound {row['min_jacobian']:.3f}"
-        ctx.progress(int(row["iteration"]), len(cfg.barriers) * cfg.max_iterations, text)
+        ctx.progress(int(row["iteration"]), _expected(cfg), text)
 
     result = optimize_correspondence([surface[i] for i in ids], options, record=record)
     optimum = result.value
@@ -125,6 +131,11 @@ def run(
         "history": Table(columns, "description_length in nat; elapsed_s is a timing and differs from run to run"),
         "corresponded": corresponded,
     }
+
+
+def _expected(cfg: Config) -> int:
+    """Return a rough number of iterations, for the progress bar only."""
+    return 25 * (len(cfg.barriers) + (cfg.pose_rounds if cfg.pose == "refined" else 0))
 
 
 def _reference(choice: str, ids: tuple[str, ...]) -> Any:

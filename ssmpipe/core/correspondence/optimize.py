@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -38,8 +39,10 @@ class EngineOptions:
     covariance : {"discrete", "II"}
     lambda_cut : float or None
         Threshold of the description length [mm^2]; None for the rule of :func:`automatic_lambda_cut`.
-    pose : {"procrustes", "keep"}
-        Whether rigid poses are refined once before the optimization.
+    pose : {"refined", "procrustes", "keep"}
+        ``keep``: as given. ``procrustes``: refined once before the optimization, from the initial correspondence.
+        ``refined``: as given first, then refined from the optimized correspondence, ``pose_rounds`` times.
+    pose_rounds : int
     remove_size : bool
         Whether sizes are removed inside the objective.
     prior : float
@@ -61,10 +64,11 @@ class EngineOptions:
     boundary: Boundary = "fixed"
     covariance: Covariance = "discrete"
     lambda_cut: float | None = None
-    pose: Literal["procrustes", "keep"] = "procrustes"
+    pose: Literal["refined", "procrustes", "keep"] = "refined"
+    pose_rounds: int = 3
     remove_size: bool = True
     prior: float = 0.1
-    barriers: tuple[float, ...] = (10.0, 3.0, 1.0)
+    barriers: tuple[float, ...] = (30.0, 10.0, 3.0)
     floor: float = 0.0
     reference: int | Literal["nearest-to-mean", "none"] = "nearest-to-mean"
     max_iterations: int = 300
@@ -162,12 +166,10 @@ def optimize_correspondence(
     )
     identity = reparameterization.identity()[None]
     at_identity = np.repeat(reparameterization.evaluate(identity), len(surfaces), axis=0)
-    initial = SurfaceStack(surfaces).evaluate(at_identity)[0]
-    alignment = pose(initial, opts)
-    posed = [_posed(s, alignment, i, scaled=False) for i, s in enumerate(surfaces)]
-    scaled = [_posed(s, alignment, i, scaled=True) for i, s in enumerate(surfaces)]
-    stack = SurfaceStack(scaled)
-    start_points = stack.evaluate(at_identity)[0]
+    raw = SurfaceStack(surfaces)
+    given = raw.evaluate(at_identity)[0]
+    alignment = _align(given, opts, keep_pose=opts.pose != "procrustes")
+    start_points = _apply(alignment, given, scaled=True)
     mean = start_points.mean(axis=0)
     size = float(np.sqrt(((mean - mean.mean(axis=0)) ** 2).sum(axis=1).mean()))
     lambda_cut = opts.lambda_cut if opts.lambda_cut is not None else automatic_lambda_cut(size)
@@ -177,55 +179,48 @@ def optimize_correspondence(
         reference = int(((start_points - mean) ** 2).sum(axis=(1, 2)).argmin())
     else:
         reference = opts.reference
-    objective = GroupObjective(
-        stack,
-        reparameterization,
-        lambda_cut=lambda_cut,
-        covariance=opts.covariance,
-        prior=opts.prior,
-        floor=opts.floor,
-        reference=reference,
-    )
-    x = objective.start()
-    eigenvalues_initial = objective.evaluate(x)[0].spectrum.eigenvalues
-    rows: list[dict[str, float]] = []
-
-    def note(_: int, x: Floats, value: float, gradient: Floats) -> None:
-        smallest = objective.smallest_jacobian(x)
-        row = {
-            "iteration": float(len(rows)),
-            "description_length": objective.description_length(x),
-            "max_constraint": opts.floor - smallest,
-            "min_jacobian": smallest,
-        }
-        rows.append(row)
-        if record is not None:
-            record(row)
-
-    note(0, x, 0.0, x)
+    recorder = _Recorder(opts.floor, record)
+    barriers = opts.barriers
+    pose_rounds = opts.pose_rounds if opts.pose == "refined" else 0
+    x: Floats | None = None
     n_iterations = n_evaluations = 0
-    status = "converged"
-    for barrier in opts.barriers:
-        objective.barrier = barrier
-        result = minimize_interior(
-            objective,
-            x,
-            DescentOptions(max_iterations=opts.max_iterations, relative_decrease=opts.relative_decrease),
-            callback=note,
+    for pose_round in range(1 + pose_rounds):
+        objective = GroupObjective(
+            SurfaceStack([_posed(s, alignment, i) for i, s in enumerate(surfaces)]),
+            reparameterization,
+            lambda_cut=lambda_cut,
+            covariance=opts.covariance,
+            prior=opts.prior,
+            floor=opts.floor,
+            reference=reference,
         )
-        x = result.value
-        n_iterations += result.n_iterations
-        n_evaluations += result.n_evaluations
-        status = result.status
+        if x is None:
+            x = objective.start()
+            recorder.note(objective, x)
+        for barrier in barriers:
+            objective.barrier = barrier
+            result = minimize_interior(
+                objective,
+                x,
+                DescentOptions(max_iterations=opts.max_iterations, relative_decrease=opts.relative_decrease),
+                callback=partial(recorder.note_iteration, objective),
+            )
+            x = result.value
+            n_iterations += result.n_iterations
+            n_evaluations += result.n_evaluations
+        if pose_round < pose_rounds:
+            current = raw.evaluate(reparameterization.evaluate(objective.coefficients(x)))[0]
+            alignment = _align(current, opts, keep_pose=False)
+            barriers = opts.barriers[-1:]
     coefficients = objective.coefficients(x)
     parameters = reparameterization.evaluate(coefficients)
-    kept = SurfaceStack(posed)
     eigenvalues = objective.evaluate(x)[0].spectrum.eigenvalues
+    eigenvalues_initial = objective.evaluate(objective.start())[0].spectrum.eigenvalues
     optimum = Optimum(
         coefficients=coefficients,
         parameters=parameters,
-        points=kept.evaluate(parameters)[0],
-        initial_points=kept.evaluate(at_identity)[0],
+        points=_apply(alignment, raw.evaluate(parameters)[0], scaled=False),
+        initial_points=_apply(alignment, given, scaled=False),
         alignment=alignment,
         eigenvalues=eigenvalues,
         eigenvalues_initial=eigenvalues_initial,
@@ -237,25 +232,57 @@ def optimize_correspondence(
         reference=reference,
         certificates=tuple(certify(c, reparameterization) for c in coefficients),
     )
-    history = {key: np.array([row[key] for row in rows]) for key in rows[0]}
-    return Result(optimum, status, n_iterations, n_evaluations, history)  # type: ignore[arg-type]
+    return Result(optimum, result.status, n_iterations, n_evaluations, recorder.history())
 
 
-def pose(points: Floats, options: EngineOptions) -> Alignment:
-    """Return the poses and size factors that the objective uses, from the (n_S, n_P, 3) initial landmarks."""
+class _Recorder:
+    """Collects the history rows and hands each one on."""
+
+    def __init__(self, floor: float, record: Callable[[dict[str, float]], None] | None) -> None:
+        self._floor = floor
+        self._record = record
+        self._rows: list[dict[str, float]] = []
+
+    def note(self, objective: GroupObjective, x: Floats) -> None:
+        smallest = objective.smallest_jacobian(x)
+        row = {
+            "iteration": float(len(self._rows)),
+            "description_length": objective.description_length(x),
+            "max_constraint": self._floor - smallest,
+            "min_jacobian": smallest,
+        }
+        self._rows.append(row)
+        if self._record is not None:
+            self._record(row)
+
+    def note_iteration(self, objective: GroupObjective, _k: int, x: Floats, _f: float, _g: Floats) -> None:
+        self.note(objective, x)
+
+    def history(self) -> dict[str, Floats]:
+        return {key: np.array([row[key] for row in self._rows]) for key in self._rows[0]}
+
+
+def _align(points: Floats, options: EngineOptions, *, keep_pose: bool) -> Alignment:
+    """Return poses and size factors for the (n_S, n_P, 3) points of a correspondence, landmarks weighed by their area."""
     weights = MeanAreaWeights(options.landmarks).value(points.mean(axis=0))
     alignment = generalized_procrustes(points, weights, remove_size=options.remove_size)
-    if options.pose == "procrustes":
+    if not keep_pose:
         return alignment
     n_shapes = len(points)
-    return Alignment(
-        np.repeat(np.eye(3)[None], n_shapes, axis=0), np.zeros((n_shapes, 3)), alignment.scale, alignment.centre
-    )
+    unturned = np.repeat(np.eye(3)[None], n_shapes, axis=0)
+    return Alignment(unturned, np.zeros((n_shapes, 3)), alignment.scale, alignment.centre)
 
 
-def _posed(surface: BSplineSurface, alignment: Alignment, i: int, *, scaled: bool) -> BSplineSurface:
-    """Move (and scale about the common centre) the control points of shape ``i``; splines are affinely invariant."""
+def _apply(alignment: Alignment, points: Floats, *, scaled: bool) -> Floats:
+    """Move (n_S, n, 3) points to their poses, and scale them about the common centre if asked."""
+    moved = points @ np.swapaxes(alignment.rotation, 1, 2) + alignment.translation[:, None]
+    if not scaled:
+        return moved
+    return alignment.centre + alignment.scale[:, None, None] * (moved - alignment.centre)
+
+
+def _posed(surface: BSplineSurface, alignment: Alignment, i: int) -> BSplineSurface:
+    """Move and scale the control points of shape ``i``; splines are affinely invariant."""
     control = surface.control_points @ alignment.rotation[i].T + alignment.translation[i]
-    if scaled:
-        control = alignment.centre + alignment.scale[i] * (control - alignment.centre)
+    control = alignment.centre + alignment.scale[i] * (control - alignment.centre)
     return BSplineSurface(surface.degree, surface.knots_u, surface.knots_v, control)
