@@ -9,7 +9,7 @@ from ssmpipe.core.arrays import Floats
 from ssmpipe.core.mesh.trimesh import TriMesh
 
 
-def grid_faces(n_u: int, n_v: int, *, wrap_u: bool = False, wrap_v: bool = False) -> np.ndarray:
+def _grid(n_u: int, n_v: int, *, wrap_u: bool = False, wrap_v: bool = False) -> np.ndarray:
     """Return two counter-clockwise triangles per cell of an ``n_u x n_v`` grid of points in row-major order."""
     i, j = np.meshgrid(np.arange(n_u if wrap_u else n_u - 1), np.arange(n_v if wrap_v else n_v - 1), indexing="ij")
     i, j = i.ravel(), j.ravel()
@@ -28,7 +28,7 @@ def flat_square(n: int = 11, size: float = 1.0) -> TriMesh:
     """
     t = np.linspace(0.0, size, n)
     x, y = np.meshgrid(t, t, indexing="ij")
-    return TriMesh(np.column_stack([x.ravel(), y.ravel(), np.zeros(n * n)]), grid_faces(n, n))
+    return TriMesh(np.column_stack([x.ravel(), y.ravel(), np.zeros(n * n)]), _grid(n, n))
 
 
 def sphere(radius: float = 1.0, subdivisions: int = 4) -> TriMesh:
@@ -49,7 +49,7 @@ def torus(major: float = 3.0, minor: float = 1.0, n_major: int = 48, n_minor: in
     s, t = (x.ravel() for x in np.meshgrid(s, t, indexing="ij"))
     ring = major + minor * np.cos(t)
     points = np.column_stack([ring * np.cos(s), ring * np.sin(s), minor * np.sin(t)])
-    return TriMesh(points, grid_faces(n_major, n_minor, wrap_u=True, wrap_v=True))
+    return TriMesh(points, _grid(n_major, n_minor, wrap_u=True, wrap_v=True))
 
 
 def tube(radius: float = 1.0, height: float = 4.0, n_around: int = 48, n_along: int = 25) -> TriMesh:
@@ -58,7 +58,7 @@ def tube(radius: float = 1.0, height: float = 4.0, n_around: int = 48, n_along: 
     z = np.linspace(0.0, height, n_along)
     a, z = (x.ravel() for x in np.meshgrid(angle, z, indexing="ij"))
     points = np.column_stack([radius * np.cos(a), radius * np.sin(a), z])
-    return TriMesh(points, grid_faces(n_around, n_along, wrap_u=True))
+    return TriMesh(points, _grid(n_around, n_along, wrap_u=True))
 
 
 def star_shape(subdivisions: int = 4, scale: float = 30.0) -> TriMesh:

@@ -1,0 +1,190 @@
+"""Four corners on the rim of a disk, and the rim laid around the unit square."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ssmpipe.core.arrays import Floats, Ints
+from ssmpipe.core.errors import GeometryError, TopologyError
+from ssmpipe.core.mesh.topology import boundary_loops, split_edges, unique_edges
+from ssmpipe.core.mesh.trimesh import TriMesh
+
+SQUARE_CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+
+
+def rim_of(mesh: TriMesh) -> Ints:
+    """Return the one boundary loop of a disk, surface on the left.
+
+    Raises
+    ------
+    TopologyError
+        If the mesh does not have exactly one.
+    """
+    loops = boundary_loops(mesh.faces)
+    if len(loops) != 1:
+        raise TopologyError(
+            f"the surface has {len(loops)} boundary loops, a map to the square needs exactly one",
+            "trim the surface first" if not loops else "close the other openings with fill-holes",
+        )
+    return loops[0]
+
+
+def rim_centroid(mesh: TriMesh, rim: Ints) -> Floats:
+    """Return the arc-length weighted centroid of a loop, (3,) [mm]."""
+    start, end = mesh.vertices[rim], mesh.vertices[np.roll(rim, -1)]
+    length = np.linalg.norm(end - start, axis=1)
+    return np.asarray(length @ (0.5 * (start + end)) / length.sum())
+
+
+def rim_axes(mesh: TriMesh, rim: Ints) -> tuple[Floats, float]:
+    """Return the two principal axes of a loop as rows (longer first), and the ratio of their extents.
+
+    Their signs follow the coordinate frame: the largest component of each is positive.
+    """
+    middle = 0.5 * (mesh.vertices[rim] + mesh.vertices[np.roll(rim, -1)]) - rim_centroid(mesh, rim)
+    length = np.linalg.norm(mesh.vertices[rim] - mesh.vertices[np.roll(rim, -1)], axis=1)
+    variances, vectors = np.linalg.eigh((middle * length[:, None]).T @ middle)
+    axes = vectors[:, ::-1].T[:2]
+    signs = np.sign(np.take_along_axis(axes, np.argmax(np.abs(axes), axis=1)[:, None], axis=1))
+    return axes * signs, float(np.sqrt(variances[2] / variances[1]))
+
+
+def corners_by_angle(mesh: TriMesh, rim: Ints, angles_deg: Sequence[float], axes: Floats) -> Floats:
+    """Return the places on a loop seen from its centroid under the given angles, (n, 3) [mm].
+
+    Parameters
+    ----------
+    mesh : TriMesh
+    rim : (n_rim,) int64
+    angles_deg : sequence of float
+        Measured from the first to the second axis [degrees].
+    axes : (2, 3) float64
+        Orthonormal; the loop is looked at in their plane. Where a ray meets the loop several times, the outermost place
+        counts.
+
+    Raises
+    ------
+    GeometryError
+        If a ray misses the loop (its centroid lies outside of it).
+    """
+    flat = (mesh.vertices[rim] - rim_centroid(mesh, rim)) @ axes.T
+    following = np.roll(flat, -1, axis=0)
+    places = []
+    for angle in np.radians(np.asarray(angles_deg, dtype=np.float64)):
+        along, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+        side, next_side = flat @ across, following @ across
+        crossing = (side <= 0) != (next_side <= 0)
+        t = np.where(crossing, side / np.where(crossing, side - next_side, 1.0), 0.0)
+        reach = np.where(crossing, (1 - t) * (flat @ along) + t * (following @ along), -np.inf)
+        k = int(np.argmax(reach))
+        if not reach[k] > 0:
+            raise GeometryError(
+                f"no place of the boundary lies under {np.degrees(angle):.0f} degrees from its centroid",
+                "assign landmarks to the roles corner_1 to corner_4",
+            )
+        places.append((1 - t[k]) * mesh.vertices[rim[k]] + t[k] * mesh.vertices[np.roll(rim, -1)[k]])
+    return np.array(places)
+
+
+def insert_corners(mesh: TriMesh, points: Floats, snap: float = 1e-3) -> tuple[TriMesh, Ints, Floats]:
+    """Make the places of the rim nearest to the given points vertices.
+
+    Parameters
+    ----------
+    mesh : TriMesh
+        A disk.
+    points : (n, 3) float64
+        Wanted corners.
+    snap : float
+        A vertex nearer than this share of the boundary edge's length is used as it is.
+
+    Returns
+    -------
+    mesh : TriMesh
+        With up to n more vertices at the end.
+    corners : (n,) int64
+        Vertex indices, in the order of ``points``.
+    distances : (n,) float64
+        From each wanted point to its corner [mm].
+    """
+    corners = np.empty(len(points), dtype=np.int64)
+    distances = np.empty(len(points))
+    for k, point in enumerate(points):
+        rim = rim_of(mesh)
+        start, end = mesh.vertices[rim], mesh.vertices[np.roll(rim, -1)]
+        side = end - start
+        t = np.clip(np.einsum("ij,ij->i", point - start, side) / np.einsum("ij,ij->i", side, side), 0.0, 1.0)
+        nearest = start + t[:, None] * side
+        away = np.linalg.norm(nearest - point, axis=1)
+        edge = int(np.argmin(away))
+        distances[k] = away[edge]
+        if t[edge] <= snap or t[edge] >= 1 - snap:
+            corners[k] = rim[(edge + int(t[edge] > 0.5)) % len(rim)]
+        else:
+            corners[k] = mesh.n_vertices
+            mesh = split_edges(mesh, np.array([[rim[edge], rim[(edge + 1) % len(rim)]]]), nearest[edge][None])
+    return mesh, corners, distances
+
+
+def split_chords(mesh: TriMesh) -> TriMesh:
+    """Divide inner edges that join two boundary vertices at their middle.
+
+    Such an edge between two vertices of the same side of the square would be squashed onto the side.
+    """
+    edges = unique_edges(mesh.faces)
+    on_rim = np.zeros(mesh.n_vertices, dtype=bool)
+    on_rim[edges.vertices[edges.n_faces == 1]] = True
+    chords = edges.vertices[(edges.n_faces == 2) & on_rim[edges.vertices].all(axis=1)]
+    return split_edges(mesh, chords, mesh.vertices[chords].mean(axis=1))
+
+
+def order_corners(rim: Ints, corners: Ints) -> Ints:
+    """Return the corners in the direction of the rim, starting with the first; ``corner_3`` stays opposite.
+
+    Raises
+    ------
+    GeometryError
+        If two corners fall on the same vertex, or 1 and 3 are neighbours.
+    """
+    if len(np.unique(corners)) < 4:
+        raise GeometryError("two corners fall on the same boundary vertex", "move the corner landmarks apart")
+    place = {int(v): k for k, v in enumerate(rim)}
+    after_first = np.array([(place[int(c)] - place[int(corners[0])]) % len(rim) for c in corners])
+    ordered = corners[np.argsort(after_first)]
+    if ordered[2] != corners[2]:
+        raise GeometryError(
+            "the corners do not follow each other around the boundary", "name them corner_1 to corner_4 in the order along the rim"
+        )
+    return ordered
+
+
+def square_boundary(mesh: TriMesh, corners: Ints) -> tuple[Ints, Floats]:
+    """Lay the rim around the unit square, by arc length between the corners.
+
+    Parameters
+    ----------
+    mesh : TriMesh
+        A disk.
+    corners : (4,) int64
+        Rim vertices in the direction of the rim (surface on the left): they go to (0, 0), (1, 0), (1, 1), (0, 1).
+
+    Returns
+    -------
+    rim : (n_rim,) int64
+        From the first corner on.
+    uv : (n_rim, 2) float64
+        Counter-clockwise; the corners exact.
+    """
+    rim = rim_of(mesh)
+    rim = np.roll(rim, -int(np.flatnonzero(rim == corners[0])[0]))
+    uv = np.empty((len(rim), 2))
+    at = [int(np.flatnonzero(rim == c)[0]) for c in corners] + [len(rim)]
+    closed = np.append(rim, rim[0])
+    for k in range(4):
+        piece = mesh.vertices[closed[at[k] : at[k + 1] + 1]]
+        arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(piece, axis=0), axis=1))])
+        t = (arc / arc[-1])[:-1, None]
+        uv[at[k] : at[k + 1]] = (1 - t) * SQUARE_CORNERS[k] + t * SQUARE_CORNERS[(k + 1) % 4]
+    return rim, uv

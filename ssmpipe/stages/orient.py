@@ -1,0 +1,99 @@
+"""Mirror one side to the other and bring the shape into a canonical frame."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from ssmpipe.contract import Context, Landmarks, Port, ShapeInfo, Stage, StageConfig
+from ssmpipe.core.align.frames import femur_distal_frame, landmark_frame, principal_frame
+from ssmpipe.core.align.rigid import homogeneous, move, reflection, rotation_angle
+from ssmpipe.core.arrays import Floats
+from ssmpipe.core.errors import LandmarkError
+from ssmpipe.core.mesh.trimesh import TriMesh
+
+ROLES = ("lateral", "medial", "proximal")
+
+
+class Config(StageConfig):
+    """Options of orient."""
+
+    mirror: Annotated[
+        Literal["left", "right", "none"],
+        Field(description="Side that is mirrored to the other, by the side column of the cohort table."),
+    ] = "left"
+    frame: Annotated[
+        Literal["femur-distal", "principal", "none"],
+        Field(
+            description="Canonical frame: x lateral, y anterior, z up the shaft of a right femur (from geometry, or from "
+            "landmarks with the roles lateral, medial, proximal); principal axes; or the scanner's."
+        ),
+    ] = "femur-distal"
+
+
+def run(
+    mesh: TriMesh, transform: Floats, info: ShapeInfo, landmarks: Landmarks | None = None, *, cfg: Config, ctx: Context
+) -> dict[str, Any]:
+    """Orient one shape; see :mod:`ssmpipe.core.align.frames`."""
+    marks = landmarks if landmarks is not None else Landmarks()
+    mirrored = cfg.mirror != "none" and info.side == ("L" if cfg.mirror == "left" else "R")
+    if cfg.mirror != "none" and info.side not in ("L", "R"):
+        ctx.warn(
+            f"the side of '{info.id}' is unknown, it is not mirrored; add a column 'side' (L or R) to the cohort table, "
+            "or set orient.mirror to none"
+        )
+    matrix = reflection(0) if mirrored else np.eye(4)
+    source = "none"
+    if cfg.frame != "none":
+        placed = move(mesh, matrix)
+        frame = femur_distal_frame(placed) if cfg.frame == "femur-distal" else principal_frame(placed)
+        rigid, source = frame.matrix, "geometry"
+        ctx.metric("width_mm", frame.width)
+        if cfg.frame == "femur-distal":
+            axes = _axes_from_landmarks(marks.transformed(matrix))
+            if axes is not None:
+                turn = homogeneous(axes @ rigid[:3, :3].T, np.zeros(3))
+                ctx.metric("landmarks_against_geometry_deg", rotation_angle(turn))
+                rigid, source = turn @ rigid, "landmarks"
+            if frame.overhang < 0:
+                ctx.warn(
+                    "front and back of the condyles could not be told apart clearly; check the picture, or assign the roles "
+                    "lateral, medial and proximal to landmarks"
+                )
+        matrix = rigid @ matrix
+    ctx.metric("mirrored", mirrored)
+    ctx.metric("frame_from", source)
+    return {"mesh": move(mesh, matrix), "landmarks": marks.transformed(matrix), "transform": matrix @ transform}
+
+
+def _axes_from_landmarks(marks: Landmarks) -> Floats | None:
+    given = {role: marks.role(role) for role in ROLES}
+    missing = [role for role, point in given.items() if point is None]
+    if len(missing) == 3:
+        return None
+    lateral, medial, proximal = (given[role] for role in ROLES)
+    if lateral is None or medial is None or proximal is None:
+        raise LandmarkError(
+            f"the frame needs all of the roles {', '.join(ROLES)}; missing: {', '.join(missing)}",
+            "assign the missing ones in input.roles, or none of the three to let geometry decide",
+        )
+    return landmark_frame(lateral, medial, proximal)
+
+
+STAGE = Stage(
+    name="orient",
+    scope="shape",
+    version=1,
+    config=Config,
+    run=run,
+    inputs=(
+        Port("mesh", "trimesh"),
+        Port("landmarks", "landmarks", optional=True),
+        Port("transform", "transform"),
+        Port("info", "info"),
+    ),
+    outputs=(Port("mesh", "trimesh"), Port("landmarks", "landmarks"), Port("transform", "transform")),
+    methods="Shapes were brought to one side (mirrored: {mirror}) and into a canonical frame ({frame}).",
+)

@@ -1,0 +1,64 @@
+"""Clean a raw surface: one oriented component without handles."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from ssmpipe.contract import Context, Port, Stage, StageConfig
+from ssmpipe.core.mesh.operators import area, volume
+from ssmpipe.core.mesh.topology import boundary_loops, genus
+from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.core.repair.cleaning import check_handles, check_openings, clean
+
+
+class Config(StageConfig):
+    """Options of repair."""
+
+    components: Annotated[
+        Literal["one", "largest"],
+        Field(description="What to do when several components are larger than debris: refuse the scan, or keep the largest."),
+    ] = "one"
+    debris_fraction: Annotated[
+        float, Field(ge=0, lt=0.5, description="A component with less than this share of the area is dropped as debris [-].")
+    ] = 0.02
+    max_openings: Annotated[int, Field(ge=0, description="Number of boundary loops that a scan may have [count].")] = 1
+
+
+def run(mesh: TriMesh, *, cfg: Config, ctx: Context) -> dict[str, Any]:
+    """Repair one scan; see :func:`ssmpipe.core.repair.cleaning.clean`."""
+    cleaned = clean(mesh, debris_fraction=cfg.debris_fraction, components=cfg.components)
+    result = cleaned.mesh
+    check_openings(result, cfg.max_openings)
+    check_handles(result)
+    for name, count in cleaned.changes.items():
+        ctx.metric(name, count)
+    ctx.metric("dropped_area_percent", 100.0 * cleaned.dropped_area_fraction)
+    ctx.metric("n_vertices", result.n_vertices)
+    ctx.metric("n_faces", result.n_faces)
+    ctx.metric("genus", genus(result.faces))
+    ctx.metric("n_loops", len(boundary_loops(result.faces)))
+    ctx.metric("area_mm2", area(result))
+    ctx.metric("volume_mm3", volume(result))
+    dropped = cleaned.changes["dropped_components"]
+    if cleaned.dropped_area_fraction >= cfg.debris_fraction:
+        ctx.warn(
+            f"{dropped} components with {100 * cleaned.dropped_area_fraction:.1f} % of the area were dropped; look at the scan "
+            "if that is more than expected"
+        )
+    elif dropped:
+        ctx.log.info("%d small components dropped (%.2f %% of the area)", dropped, 100 * cleaned.dropped_area_fraction)
+    return {"mesh": result}
+
+
+STAGE = Stage(
+    name="repair",
+    scope="shape",
+    version=1,
+    config=Config,
+    run=run,
+    inputs=(Port("mesh", "trimesh"),),
+    outputs=(Port("mesh", "trimesh"),),
+    methods="Raw surfaces were cleaned of duplicate vertices, degenerate and duplicate faces, non-manifold fins and debris, and oriented outward.",
+)

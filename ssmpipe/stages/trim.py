@@ -1,0 +1,80 @@
+"""Cut the surface with a plane and keep the part below it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from ssmpipe.contract import Context, Landmarks, Port, Stage, StageConfig
+from ssmpipe.core.mesh.operators import area
+from ssmpipe.core.mesh.topology import boundary_loops, loop_length
+from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.core.repair.trimming import height_by_width, trim
+
+Vector = tuple[float, float, float]
+
+
+class Config(StageConfig):
+    """Options of trim: a plane, or a distance, or a landmark, or a fraction of the width, in this order of precedence."""
+
+    fraction: Annotated[
+        float,
+        Field(gt=0, description="Height of the cut above the lowest point, in widths of what lies below the cut along `across` [-]."),
+    ] = 1.1
+    distance_mm: Annotated[
+        float | None, Field(gt=0, description="Height of the cut above the lowest point, instead of `fraction` [mm].")
+    ] = None
+    offset_mm: Annotated[float, Field(description="Shift of the cut along `up` from the landmark with role trim [mm].")] = 0.0
+    up: Annotated[Vector, Field(description="Direction towards what is cut away, in the current frame [-].")] = (0.0, 0.0, 1.0)
+    across: Annotated[Vector, Field(description="Direction in which the width is measured, in the current frame [-].")] = (1.0, 0.0, 0.0)
+    plane_point: Annotated[Vector | None, Field(description="A point of the cutting plane, in the current frame [mm].")] = None
+    snap: Annotated[
+        float, Field(ge=0, lt=0.5, description="Vertices nearer to the plane than this share of the mean edge are moved onto it [-].")
+    ] = 0.1
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Config:
+        if self.distance_mm is not None and self.plane_point is not None:
+            raise ValueError("give distance_mm or plane_point, not both")
+        if not any(self.up) or not any(self.across):
+            raise ValueError("up and across must not be zero vectors")
+        return self
+
+
+def run(mesh: TriMesh, landmarks: Landmarks | None = None, *, cfg: Config, ctx: Context) -> dict[str, Any]:
+    """Trim one shape; see :func:`ssmpipe.core.repair.trimming.trim`."""
+    up, across = (np.array(v) / np.linalg.norm(v) for v in (cfg.up, cfg.across))
+    lowest = float((mesh.vertices @ up).min())
+    mark = landmarks.role("trim") if landmarks is not None else None
+    if cfg.plane_point is not None:
+        height, source = float(np.array(cfg.plane_point) @ up), "plane"
+    elif cfg.distance_mm is not None:
+        height, source = lowest + cfg.distance_mm, "distance"
+    elif mark is not None:
+        height, source = float(mark @ up) + cfg.offset_mm, "landmark"
+    else:
+        height, width = height_by_width(mesh.vertices, up, across, cfg.fraction)
+        source = "width"
+        ctx.metric("width_mm", width)
+    trimmed = trim(mesh, height * up, up, snap=cfg.snap)
+    ctx.metric("cut_by", source)
+    ctx.metric("height_mm", height - lowest)
+    ctx.metric("n_vertices", trimmed.n_vertices)
+    ctx.metric("n_faces", trimmed.n_faces)
+    ctx.metric("area_mm2", area(trimmed))
+    ctx.metric("rim_mm", loop_length(trimmed, boundary_loops(trimmed.faces)[0]))
+    return {"mesh": trimmed}
+
+
+STAGE = Stage(
+    name="trim",
+    scope="shape",
+    version=1,
+    config=Config,
+    run=run,
+    inputs=(Port("mesh", "trimesh"), Port("landmarks", "landmarks", optional=True)),
+    outputs=(Port("mesh", "trimesh"),),
+    methods="Surfaces were cut by a plane across the axis, {fraction} widths above the lowest point unless stated otherwise.",
+)
