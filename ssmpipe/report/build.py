@@ -1,0 +1,72 @@
+"""The report: one HTML page that asks nothing of the network."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from collections.abc import Mapping
+from typing import Any
+
+from markupsafe import Markup
+
+from ssmpipe.contract import Table
+from ssmpipe.core.correspondence.correspondence import Correspondence
+from ssmpipe.core.model.shape_model import ShapeModel
+from ssmpipe.report.page import fill, resource
+from ssmpipe.report.section import ReportData
+from ssmpipe.report.sections import SECTIONS
+
+
+def build_report(
+    *,
+    record: Mapping[str, Any],
+    correspondence: Correspondence,
+    model: ShapeModel,
+    measures: Table,
+    landmark_transfer: Table | None = None,
+    history: Table,
+    certificate: Mapping[str, Any],
+) -> str:
+    """Return the report of a run as one HTML document that works offline.
+
+    Parameters
+    ----------
+    record : dict
+        What the runner knows: name, versions, config, ``shapes`` with their stages, ``cohort_stages``, ``failures``,
+        ``methods``. Missing keys leave their part out.
+    correspondence, model
+        Results of the group stages.
+    measures : Table
+        One row per correspondence and number of modes.
+    landmark_transfer : Table, optional
+        Distances between carried and marked landmarks.
+    history : Table
+        One row per iteration of the optimizer.
+    certificate : dict
+        ``{"shapes": {id: {"lower_bound", "status", "method"}}}``.
+
+    Returns
+    -------
+    str
+        The same input gives the same text. The page's content security policy lets exactly its own script and style run
+        (by their SHA-256) and nothing be fetched.
+    """
+    data = ReportData(record, correspondence, model, measures, landmark_transfer, history, certificate)
+    sections = [section for render in SECTIONS if (section := render(data)) is not None]
+    style, script = resource("templates", "report.css"), resource("assets", "viewer.js")
+    return str(
+        fill(
+            "report.html.j2",
+            name=record.get("name") or "Shape model",
+            version=record.get("ssmpipe_version", ""),
+            sections=sections,
+            style=Markup(style),
+            script=Markup(script),
+            policy=f"default-src 'none'; script-src '{_sha256(script)}'; style-src '{_sha256(style)}'; img-src data:; "
+            "base-uri 'none'; form-action 'none'",
+        )
+    )
+
+
+def _sha256(text: str) -> str:
+    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")

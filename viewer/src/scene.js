@@ -1,0 +1,168 @@
+// The picture: one surface (or curve) with vertex colours, grid lines drawn by the shader, camera and lights.
+import {
+  AmbientLight, BufferAttribute, BufferGeometry, Color, DirectionalLight, DoubleSide, HemisphereLight, Line, LineBasicMaterial,
+  Mesh, MeshStandardMaterial, PerspectiveCamera, Scene, Spherical, Sphere, Vector3, WebGLRenderer,
+} from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+
+const PATTERNS = { none: 0, lines: 1, checker: 2 };
+
+/** Triangle corners as own vertices, so that a periodic grid needs no duplicated points. */
+function cornerGrid(model, topology) {
+  const [n1, n2] = model.grid.length === 2 ? model.grid : [model.nPoints, 1];
+  const periodic = topology === "tube" || topology === "cone" || topology === "closed";
+  const out = new Float32Array(model.faces.length * 2);
+  for (let t = 0; t < model.faces.length; t += 3) {
+    const rows = [0, 1, 2].map((k) => Math.floor(model.faces[t + k] / n2));
+    if (periodic && Math.max(...rows) - Math.min(...rows) > n1 / 2) rows.forEach((r, k) => { if (r < n1 / 2) rows[k] = r + n1; });
+    for (let k = 0; k < 3; k++) {
+      out[2 * (t + k)] = rows[k];
+      out[2 * (t + k) + 1] = model.faces[t + k] % n2;
+    }
+  }
+  return out;
+}
+
+export class View {
+  constructor(canvas, model, topology) {
+    this.canvas = canvas;
+    this.model = model;
+    this.renderer = new WebGLRenderer({ canvas, antialias: true, preserveDrawingBuffer: true });
+    this.renderer.setClearColor(0xf4f6f8);
+    this.scene = new Scene();
+    this.camera = new PerspectiveCamera(28, 1, 1, 10000);
+    this.camera.up.set(0, 0, 1);
+    this.pattern = { value: 0 };
+    this.step = { value: Math.max(1, Math.round(Math.max(...model.grid) / 16)) };
+    this.#addShape(topology);
+    this.scene.add(new AmbientLight(0xffffff, 0.35), new HemisphereLight(0xffffff, 0x8a93a0, 0.9));
+    this.light = new DirectionalLight(0xffffff, 1.9);
+    this.scene.add(this.light, this.light.target);
+    this.controls = new OrbitControls(this.camera, canvas);
+    this.controls.enableDamping = false;
+    this.controls.enableZoom = false; // the wheel scrolls the page until the picture is clicked
+    canvas.addEventListener("focus", () => { this.controls.enableZoom = true; });
+    canvas.addEventListener("blur", () => { this.controls.enableZoom = false; });
+    canvas.addEventListener("pointerdown", () => canvas.focus({ preventScroll: true }));
+    canvas.addEventListener("keydown", (event) => this.#key(event));
+    this.controls.addEventListener("change", () => this.draw());
+    this.#fit();
+    new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
+  }
+
+  #addShape(topology) {
+    const { model } = this;
+    this.geometry = new BufferGeometry();
+    this.isCurve = model.faces.length === 0;
+    const count = this.isCurve ? model.nPoints + (topology === "curve-closed" ? 1 : 0) : model.faces.length;
+    this.corners = this.isCurve ? Uint32Array.from({ length: count }, (_, i) => i % model.nPoints) : model.faces;
+    for (const name of ["position", "normal", "color"]) {
+      this.geometry.setAttribute(name, new BufferAttribute(new Float32Array(count * 3), 3));
+    }
+    if (this.isCurve) {
+      this.scene.add(new Line(this.geometry, new LineBasicMaterial({ vertexColors: true })));
+      return;
+    }
+    this.geometry.setAttribute("gridPosition", new BufferAttribute(cornerGrid(model, topology), 2));
+    const material = new MeshStandardMaterial({ vertexColors: true, side: DoubleSide, roughness: 0.62, metalness: 0 });
+    material.onBeforeCompile = (shader) => {
+      shader.uniforms.pattern = this.pattern;
+      shader.uniforms.gridStep = this.step;
+      shader.vertexShader = `attribute vec2 gridPosition; varying vec2 vGrid;\n${shader.vertexShader}`
+        .replace("#include <begin_vertex>", "#include <begin_vertex>\nvGrid = gridPosition;");
+      shader.fragmentShader = `varying vec2 vGrid; uniform int pattern; uniform float gridStep;\n${shader.fragmentShader}`
+        .replace("#include <color_fragment>", `#include <color_fragment>
+          vec2 cell = vGrid / gridStep;
+          if (pattern == 1) {
+            vec2 away = abs(fract(cell - 0.5) - 0.5) / fwidth(cell);
+            diffuseColor.rgb *= mix(0.28, 1.0, smoothstep(0.4, 1.3, min(away.x, away.y)));
+          } else if (pattern == 2) {
+            diffuseColor.rgb *= mod(floor(cell.x + 1e-4) + floor(cell.y + 1e-4), 2.0) < 0.5 ? 0.55 : 1.0;
+          }
+          if (!gl_FrontFacing) diffuseColor.rgb *= 0.6;`);
+    };
+    this.scene.add(new Mesh(this.geometry, material));
+  }
+
+  /** Put points, normals (n, 3) and colours (n, 3, linear) on the screen. */
+  update(points, normals, colours) {
+    for (const [name, source] of [["position", points], ["normal", normals], ["color", colours]]) {
+      const attribute = this.geometry.getAttribute(name);
+      this.corners.forEach((p, corner) => {
+        for (let d = 0; d < 3; d++) attribute.array[3 * corner + d] = source[3 * p + d];
+      });
+      attribute.needsUpdate = true;
+    }
+    this.geometry.computeBoundingSphere();
+    this.draw();
+  }
+
+  setPattern(name) {
+    this.pattern.value = PATTERNS[name];
+    this.draw();
+  }
+
+  #fit() {
+    const box = new BufferGeometry().setAttribute("position", new BufferAttribute(this.model.mean, 3));
+    box.computeBoundingSphere();
+    this.ball = box.boundingSphere ?? new Sphere(new Vector3(), 1);
+    this.camera.near = this.ball.radius / 50;
+    this.camera.far = this.ball.radius * 50;
+  }
+
+  /** Look along a direction given by its azimuth and elevation in degrees. */
+  look(azimuth, elevation) {
+    const [a, e] = [azimuth, elevation].map((x) => (x * Math.PI) / 180);
+    const direction = new Vector3(Math.cos(e) * Math.cos(a), Math.cos(e) * Math.sin(a), Math.sin(e));
+    const distance = (1.08 * this.ball.radius) / Math.sin((this.camera.fov / 2) * (Math.PI / 180)) / Math.min(1, this.camera.aspect);
+    this.camera.position.copy(this.ball.center).addScaledVector(direction, distance);
+    this.controls.target.copy(this.ball.center);
+    this.controls.update();
+    this.draw();
+  }
+
+  #key(event) {
+    const turn = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+    const zoom = { "+": 0.9, "=": 0.9, "-": 1.1 }[event.key];
+    if (!turn && !zoom) return;
+    event.preventDefault();
+    const offset = this.camera.position.clone().sub(this.controls.target);
+    if (zoom) offset.multiplyScalar(zoom);
+    if (turn) {
+      const s = new Spherical().setFromCartesianCoords(offset.x, offset.z, -offset.y);
+      s.theta += turn[0] * 0.12;
+      s.phi = Math.min(Math.PI - 0.02, Math.max(0.02, s.phi + turn[1] * 0.12));
+      const v = new Vector3().setFromSpherical(s);
+      offset.set(v.x, -v.z, v.y);
+    }
+    this.camera.position.copy(this.controls.target).add(offset);
+    this.controls.update();
+    this.draw();
+  }
+
+  resize() {
+    const { clientWidth: w, clientHeight: h } = this.canvas.parentElement;
+    if (!w || !h) return;
+    this.renderer.setPixelRatio(Math.min(2, globalThis.devicePixelRatio || 1));
+    this.renderer.setSize(w, h, false);
+    this.camera.aspect = w / h;
+    this.camera.updateProjectionMatrix();
+    this.draw();
+  }
+
+  draw() {
+    if (this.pending) return;
+    this.pending = true;
+    requestAnimationFrame(() => {
+      this.pending = false;
+      this.light.position.copy(this.camera.position).add(new Vector3(-0.4, 0.2, 0.9).multiplyScalar(this.ball.radius * 2));
+      this.light.target.position.copy(this.ball.center);
+      this.renderer.render(this.scene, this.camera);
+    });
+  }
+}
+
+/** Linear RGB of a "#rrggbb" colour, as three.js wants vertex colours. */
+export function linear(hex) {
+  return new Color(hex).toArray();
+}
