@@ -43,6 +43,7 @@ class EngineOptions:
         ``keep``: as given. ``procrustes``: refined once before the optimization, from the initial correspondence.
         ``refined``: as given first, then refined from the optimized correspondence, ``pose_rounds`` times.
     pose_rounds : int
+        At most so many; they end when the landmarks move by less than a thousandth of the size (root mean square).
     remove_size : bool
         Whether sizes are removed inside the objective.
     prior : float
@@ -65,7 +66,7 @@ class EngineOptions:
     covariance: Covariance = "discrete"
     lambda_cut: float | None = None
     pose: Literal["refined", "procrustes", "keep"] = "refined"
-    pose_rounds: int = 3
+    pose_rounds: int = 6
     remove_size: bool = True
     prior: float = 0.1
     barriers: tuple[float, ...] = (30.0, 10.0, 3.0)
@@ -210,7 +211,11 @@ def optimize_correspondence(
             n_evaluations += result.n_evaluations
         if pose_round < pose_rounds:
             current = raw.evaluate(reparameterization.evaluate(objective.coefficients(x)))[0]
-            alignment = _align(current, opts, keep_pose=False)
+            refined = _align(current, opts, keep_pose=False)
+            moved = _apply(refined, current, scaled=True) - _apply(alignment, current, scaled=True)
+            if float(np.sqrt((moved**2).sum(axis=-1).mean())) < 1e-3 * size:
+                break
+            alignment = refined
             barriers = opts.barriers[-1:]
     coefficients = objective.coefficients(x)
     parameters = reparameterization.evaluate(coefficients)
