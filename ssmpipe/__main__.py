@@ -1,0 +1,6 @@
+"""``python -m ssmpipe``."""
+
+from ssmpipe.cli import main
+
+if __name__ == "__main__":
+    main()
