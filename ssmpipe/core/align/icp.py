@@ -31,23 +31,17 @@ class PointSurface:
     ----------
     points, normals : (n, 3) float64
     tree : scipy.spatial.cKDTree
-    coarse : (m,) int64
-        A few of the points, for trying many starts.
-    coarse_tree : scipy.spatial.cKDTree
     """
 
     points: Floats
     normals: Floats
     tree: cKDTree
-    coarse: np.ndarray
-    coarse_tree: cKDTree
 
     @classmethod
-    def of(cls, mesh: TriMesh, n_points: int = 5000, n_coarse: int = 400) -> PointSurface:
+    def of(cls, mesh: TriMesh, n_points: int) -> PointSurface:
         """Sample a mesh, uniformly in area and the same way every time."""
         points, face, _ = sample_surface(mesh, n_points)
-        coarse = np.linspace(0, n_points - 1, min(n_coarse, n_points)).astype(np.int64)
-        return cls(points, face_normals(mesh)[face], cKDTree(points), coarse, cKDTree(points[coarse]))
+        return cls(points, face_normals(mesh)[face], cKDTree(points))
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +55,7 @@ class IcpResult:
     cost : float
         Root mean square of the nearest-point distances along normals, both ways [mm].
     start : str
-        Which start won: ``identity`` or ``axes-<k>``.
+        Which start won: ``identity``, ``screened`` (the identity after the coarse run) or ``axes-<k>``.
     n_iterations : int
         Of the final refinement.
     converged : bool
@@ -85,48 +79,53 @@ def refine(source: PointSurface, target: PointSurface, start: Floats, n_iteratio
 
     Returns
     -------
-    matrix : (4, 4), n_iterations : int, converged : bool
-        Converged when a step turns by less than 1e-6 rad and shifts by less than 1e-5 of the target's size.
+    matrix : (4, 4)
+        The motion with the smallest cost on the way.
+    n_iterations : int
+    converged : bool
+        When a step turns by less than 1e-7 rad and shifts by less than 1e-7 of the target's size, or the cost has not
+        fallen by 1e-4 of itself for six steps (pairs of points then change back and forth).
     """
     matrix = np.array(start)
     center = target.points.mean(axis=0)
     size = float(np.sqrt(((target.points - center) ** 2).sum(axis=1).mean()))
+    best, lowest, lowest_at = matrix, np.inf, 0
     for iteration in range(1, n_iterations + 1):
-        moved, turned = apply(matrix, source.points), source.normals @ matrix[:3, :3].T
-        there = target.tree.query(moved)[1]
-        back = source.tree.query(apply(_inverse(matrix), target.points))[1]
-        points = np.vstack([moved, moved[back]])
-        goals = np.vstack([target.points[there], target.points])
-        normals = np.vstack([target.normals[there], turned[back]])
-        rows = np.hstack([np.cross(points - center, normals) / size, normals])
+        points, goals, normals = _pairs(source, target, matrix)
         residual = np.einsum("ij,ij->i", goals - points, normals)
+        now = float(residual @ residual)
+        if now < lowest:
+            best = matrix
+            if now < (1.0 - 2e-4) * lowest:
+                lowest_at = iteration
+            lowest = now
+        if iteration - lowest_at >= 6:
+            return _orthonormal(best), iteration, True
+        rows = np.hstack([np.cross(points - center, normals) / size, normals])
         step = np.linalg.lstsq(rows.T @ rows, rows.T @ residual, rcond=1e-12)[0]
         rotation = rotation_vector_matrix(step[:3] / size)
         matrix = homogeneous(rotation, center + step[3:] - rotation @ center) @ matrix
-        if np.linalg.norm(step[:3]) / size < 1e-6 and np.linalg.norm(step[3:]) < 1e-5 * size:
+        if np.linalg.norm(step[:3]) < 1e-7 * size and np.linalg.norm(step[3:]) < 1e-7 * size:
             return _orthonormal(matrix), iteration, True
-    return _orthonormal(matrix), n_iterations, False
+    return _orthonormal(best), n_iterations, False
 
 
 def cost(source: PointSurface, target: PointSurface, matrix: Floats) -> float:
     """Return the root mean square of distances to the nearest point along its normal, both ways [mm]."""
-    moved, turned = apply(matrix, source.points), source.normals @ matrix[:3, :3].T
-    there = target.tree.query(moved)[1]
-    back = source.tree.query(apply(_inverse(matrix), target.points))[1]
-    forth_residual = np.einsum("ij,ij->i", moved - target.points[there], target.normals[there])
-    back_residual = np.einsum("ij,ij->i", target.points - moved[back], turned[back])
-    return float(np.sqrt(0.5 * (np.mean(forth_residual**2) + np.mean(back_residual**2))))
+    points, goals, normals = _pairs(source, target, matrix)
+    squared = np.einsum("ij,ij->i", goals - points, normals) ** 2
+    n = len(source.points)
+    return float(np.sqrt(0.5 * (squared[:n].mean() + squared[n:].mean())))
 
 
 def screen(source: PointSurface, target: PointSurface, start: Floats, n_iterations: int = 15) -> tuple[Floats, float]:
-    """Run a short point-to-point ICP on few points (Besl and McKay 1992); returns the motion and its cost [mm]."""
+    """Run a short point-to-point ICP (Besl and McKay 1992), meant for few points; returns the motion and its cost [mm]."""
     matrix = np.array(start)
-    few = source.points[source.coarse]
     for _ in range(n_iterations):
-        matrix = rigid_fit(apply(matrix, few), target.points[target.tree.query(apply(matrix, few))[1]]) @ matrix
-    goal = target.points[target.coarse]
-    forth = target.tree.query(apply(matrix, few))[0]
-    back = source.tree.query(apply(_inverse(matrix), goal))[0]
+        moved = apply(matrix, source.points)
+        matrix = rigid_fit(moved, target.points[target.tree.query(moved)[1]]) @ matrix
+    forth = target.tree.query(apply(matrix, source.points))[0]
+    back = source.tree.query(apply(_inverse(matrix), target.points))[0]
     return matrix, float(np.sqrt(0.5 * (np.mean(forth**2) + np.mean(back**2))))
 
 
@@ -141,8 +140,8 @@ def axis_starts(source: TriMesh, target: TriMesh) -> list[Floats]:
 def align(source: TriMesh, target: TriMesh, *, margin: float = 0.1, n_refined: int = 4, n_points: int = 5000) -> IcpResult:
     """Move a surface rigidly onto another, whatever its pose.
 
-    Starts: the pose as it is, and 24 matches of the principal axes. The best few of these after a short coarse run, and
-    always the identity, are refined.
+    Starts: the pose as it is, and 24 matches of the principal axes. A short run on few points screens them; the best
+    few are refined on more points, the identity and the winner on all.
 
     Parameters
     ----------
@@ -151,7 +150,7 @@ def align(source: TriMesh, target: TriMesh, *, margin: float = 0.1, n_refined: i
         Another start must beat the identity's cost by this share to replace it [-]; shapes that were brought to a
         canonical pose before stay in it unless that was clearly wrong.
     n_refined : int
-        Coarse results that are refined.
+        Screened results that are refined.
     n_points : int
         Sample points per surface.
 
@@ -160,24 +159,23 @@ def align(source: TriMesh, target: TriMesh, *, margin: float = 0.1, n_refined: i
     IcpResult
         The determinant of the rotation is +1 always.
     """
-    a, b = PointSurface.of(source, n_points), PointSurface.of(target, n_points)
-    starts = [homogeneous(np.eye(3), np.zeros(3)), *axis_starts(source, target)]
-    screened = [screen(a, b, start) for start in starts]
-    order = [0, *(1 + np.argsort([c for _, c in screened[1:]], kind="stable")[:n_refined]).tolist()]
-    refined: list[tuple[float, int, Floats, int, bool]] = []
-    for k in order:
-        if any(np.abs(screened[k][0] - screened[j][0]).max() < 1e-3 for _, j, *_ in refined):
-            continue
-        matrix, n, converged = refine(a, b, starts[0] if k == 0 else screened[k][0])
-        refined.append((cost(a, b, matrix), k, matrix, n, converged))
-        if k == 0 and cost(a, b, matrix) > 1.5 * screened[0][1]:  # the coarse run may escape where the fine one is caught
-            matrix, n, converged = refine(a, b, screened[0][0])
-            refined[0] = (cost(a, b, matrix), k, matrix, n, converged)
-    identity = refined[0]
-    best = min(refined, key=lambda r: (r[0], r[1]))
-    chosen = best if best[0] < (1.0 - margin) * identity[0] else identity
-    name = "identity" if chosen[1] == 0 else f"axes-{chosen[1]}"
-    return IcpResult(chosen[2], chosen[0], name, chosen[3], chosen[4], identity[0])
+    few, some, all_points = (
+        (PointSurface.of(source, n), PointSurface.of(target, n)) for n in (min(400, n_points), min(1200, n_points), n_points)
+    )
+    unmoved = np.eye(4)
+    matrix, n_iterations, converged = refine(*all_points, unmoved)
+    identity_cost = cost(*all_points, matrix)
+    best = IcpResult(matrix, identity_cost, "identity", n_iterations, converged, identity_cost)
+    screened = [screen(*few, start) for start in (unmoved, *axis_starts(source, target))]
+    order = np.argsort([c for _, c in screened], kind="stable")[:n_refined]
+    candidates = [(refine(*some, screened[k][0])[0], int(k)) for k in order]
+    found, k = min(candidates, key=lambda c: (cost(*all_points, c[0]), c[1]))
+    if cost(*all_points, found) < (1.0 - 0.5 * margin) * identity_cost:
+        matrix, n_iterations, converged = refine(*all_points, found)
+        other = cost(*all_points, matrix)
+        if other < (1.0 - margin) * identity_cost:
+            best = IcpResult(matrix, other, "screened" if k == 0 else f"axes-{k}", n_iterations, converged, identity_cost)
+    return best
 
 
 def fits_better_mirrored(source: TriMesh, target: TriMesh, result: IcpResult, *, margin: float = 0.05) -> tuple[bool, float]:
@@ -190,6 +188,16 @@ def fits_better_mirrored(source: TriMesh, target: TriMesh, result: IcpResult, *,
     flip = homogeneous(np.eye(3), center) @ reflection(0) @ homogeneous(np.eye(3), -center)
     mirrored = align(move(placed, flip), target)
     return mirrored.cost < (1.0 - margin) * result.cost, mirrored.cost
+
+
+def _pairs(source: PointSurface, target: PointSurface, matrix: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return moved source points, the target points they belong to, and the normals to measure along, both ways."""
+    moved, turned = apply(matrix, source.points), source.normals @ matrix[:3, :3].T
+    there = target.tree.query(moved)[1]
+    back = source.tree.query(apply(_inverse(matrix), target.points))[1]
+    points = np.vstack([moved, moved[back]])
+    goals = np.vstack([target.points[there], target.points])
+    return points, goals, np.vstack([target.normals[there], turned[back]])
 
 
 def _inverse(matrix: Floats) -> Floats:
