@@ -12,7 +12,14 @@ from ssmpipe.core.arrays import Floats
 from ssmpipe.core.errors import LandmarkError
 from ssmpipe.core.mesh.topology import euler_characteristic
 from ssmpipe.core.mesh.trimesh import TriMesh
-from ssmpipe.core.parameterize.boundary import corners_by_angle, insert_corners, order_corners, rim_axes, rim_of, split_chords
+from ssmpipe.core.parameterize.boundary import (
+    corners_by_angle,
+    insert_corners,
+    order_corners,
+    rim_axes,
+    rim_of,
+    split_chords,
+)
 from ssmpipe.core.parameterize.distortion import folded
 from ssmpipe.core.parameterize.stretch import parameterize_square
 

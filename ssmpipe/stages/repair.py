@@ -60,5 +60,6 @@ STAGE = Stage(
     run=run,
     inputs=(Port("mesh", "trimesh"),),
     outputs=(Port("mesh", "trimesh"),),
-    methods="Raw surfaces were cleaned of duplicate vertices, degenerate and duplicate faces, non-manifold fins and debris, and oriented outward.",
+    methods="Raw surfaces were cleaned of duplicate vertices, degenerate and duplicate faces, non-manifold fins and debris, "
+    "and oriented outward.",
 )

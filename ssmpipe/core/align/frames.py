@@ -134,9 +134,9 @@ def landmark_frame(lateral: Floats, medial: Floats, proximal: Floats) -> Floats:
     Examples
     --------
     >>> landmark_frame(np.array([1.0, 0, 0]), np.array([-1.0, 0, 0]), np.array([0, 0, 5.0]))
-    array([[ 1.,  0.,  0.],
-           [ 0.,  1.,  0.],
-           [-0., -0.,  1.]])
+    array([[1., 0., 0.],
+           [0., 1., 0.],
+           [0., 0., 1.]])
     """
     z = proximal - 0.5 * (lateral + medial)
     across = lateral - medial

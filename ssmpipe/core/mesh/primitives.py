@@ -5,14 +5,14 @@ from __future__ import annotations
 import igl
 import numpy as np
 
-from ssmpipe.core.arrays import Floats
+from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.mesh.trimesh import TriMesh
 
 
-def _grid(n_u: int, n_v: int, *, wrap_u: bool = False, wrap_v: bool = False) -> np.ndarray:
+def _grid(n_u: int, n_v: int, *, wrap_u: bool = False, wrap_v: bool = False) -> Ints:
     """Return two counter-clockwise triangles per cell of an ``n_u x n_v`` grid of points in row-major order."""
-    i, j = np.meshgrid(np.arange(n_u if wrap_u else n_u - 1), np.arange(n_v if wrap_v else n_v - 1), indexing="ij")
-    i, j = i.ravel(), j.ravel()
+    cells = np.meshgrid(np.arange(n_u if wrap_u else n_u - 1), np.arange(n_v if wrap_v else n_v - 1), indexing="ij")
+    i, j = (c.ravel() for c in cells)
     up, right = (i + 1) % n_u, (j + 1) % n_v
     a, b, c, d = i * n_v + j, up * n_v + j, up * n_v + right, i * n_v + right
     return np.vstack([np.column_stack([a, b, c]), np.column_stack([a, c, d])])

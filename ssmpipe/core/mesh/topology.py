@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from ssmpipe.core.arrays import Floats, Ints
+from ssmpipe.core.arrays import Bools, Floats, Ints
 from ssmpipe.core.mesh.operators import edge_lengths
 from ssmpipe.core.mesh.trimesh import TriMesh
 
@@ -126,9 +126,9 @@ def genus(faces: Ints) -> int:
     return (2 - len(boundary_loops(faces)) - euler_characteristic(faces)) // 2
 
 
-def compact(mesh: TriMesh, keep: Ints | np.ndarray) -> TriMesh:
-    """Return the submesh of the faces ``keep`` (indices or mask), without unused vertices, in the old order."""
-    faces = mesh.faces[keep]
+def compact(mesh: TriMesh, keep: Ints | Bools | None = None) -> TriMesh:
+    """Return the submesh of the faces ``keep`` (indices or mask; all by default), without unused vertices, in the old order."""
+    faces = mesh.faces if keep is None else mesh.faces[keep]
     used, renumbered = np.unique(faces, return_inverse=True)
     return TriMesh(mesh.vertices[used], renumbered.reshape(-1, 3))
 
@@ -213,7 +213,7 @@ def handle_loop(mesh: TriMesh, n_rounds: int = 4) -> Floats | None:
     left, right = order[start] // 3, order[start + 1] // 3
     root, best = int(mesh.faces[0, 0]), None
     for _ in range(n_rounds):
-        distance, parent = csgraph.dijkstra(graph, indices=root, return_predecessors=True)
+        distance, parent = csgraph.dijkstra(graph, indices=np.array(root), return_predecessors=True)
         in_tree = (parent[i] == j) | (parent[j] == i)
         free = ~in_tree[inner]
         through = (distance[i] + distance[j] + length)[inner]
@@ -225,7 +225,7 @@ def handle_loop(mesh: TriMesh, n_rounds: int = 4) -> Floats | None:
         if not rest.any():
             return None if best is None else mesh.vertices[best]
         edge = inner[np.flatnonzero(rest)[np.argmin(through[rest])]]
-        loop = _loop_through(parent, root, int(i[edge]), int(j[edge]))
+        loop = _loop_through(parent.ravel().astype(np.int64), root, int(i[edge]), int(j[edge]))
         if best is not None and loop_length(mesh, loop) >= loop_length(mesh, best) * (1 - 1e-9):
             break
         best = loop

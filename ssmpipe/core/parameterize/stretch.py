@@ -54,7 +54,7 @@ def parameterize_square(
     history = [global_stretch(mesh, uv)]
     status: Status = "out-of-iterations"
     for _ in range(max_iterations):
-        weights = weights @ sparse.diags(vertex_stretch(mesh, uv) ** -eta)
+        weights = sparse.csr_matrix(weights @ sparse.diags(vertex_stretch(mesh, uv) ** -eta))
         candidate = solve_averages(weights, rim, rim_uv)
         stretch = global_stretch(mesh, candidate)
         if not stretch < history[-1] or folded(candidate, mesh.faces).any():

@@ -204,7 +204,7 @@ def separate_fans(mesh: TriMesh) -> tuple[TriMesh, int]:
     start = np.concatenate([[0], np.cumsum(edges.n_faces)])
     inner = np.flatnonzero(edges.n_faces == 2)
     pairs = [np.column_stack([order[start[inner]], order[start[inner] + 1]])]
-    pairs += [_pair_by_angle(mesh, edges, e, order[start[e] : start[e + 1]]) for e in np.flatnonzero(edges.n_faces > 2)]
+    pairs += [_pair_by_angle(mesh, edges, int(e), order[start[e] : start[e + 1]]) for e in np.flatnonzero(edges.n_faces > 2)]
     half_a, half_b = np.vstack(pairs).T
     # half-edge 3 f + k runs from corner k to corner k + 1 of face f
     tail = lambda h: h  # noqa: E731

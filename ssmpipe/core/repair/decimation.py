@@ -53,11 +53,11 @@ def decimate(mesh: TriMesh, n_faces: int, *, keep_boundary: bool = False) -> Dec
     vertices, faces = fast_simplification.simplify(
         np.array(mesh.vertices), mesh.faces.astype(np.int32), target_count=n_faces, preserve_border=keep_boundary
     )
-    result = compact(TriMesh(vertices, faces), slice(None))
+    result = compact(TriMesh(vertices, faces))
     if result.n_faces <= 1.01 * n_faces + 2 and _topology(result) == wanted:
         return Decimated(result, "quadric")
     answer = igl.qslim(mesh.vertices, mesh.faces, n_faces)
-    result = compact(TriMesh(answer[0], answer[1]), slice(None))
+    result = compact(TriMesh(answer[0], answer[1]))
     if result.n_faces <= 1.01 * n_faces + 2 and _topology(result) == wanted:
         return Decimated(result, "qslim")
     raise TopologyError(

@@ -25,7 +25,7 @@ def neighbour_average(mesh: TriMesh) -> sparse.csr_matrix:
     columns = np.concatenate([inner.col[keep], half[:, 1], half[:, 0]])
     matrix = sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), shape=inner.shape)
     degree = np.asarray(matrix.sum(axis=1)).ravel()
-    return sparse.diags(1.0 / np.where(degree > 0, degree, 1.0)) @ matrix
+    return sparse.csr_matrix(sparse.diags(1.0 / np.where(degree > 0, degree, 1.0)) @ matrix)
 
 
 def taubin(mesh: TriMesh, *, n_iterations: int = 10, lam: float = 0.5, mu: float = -0.53) -> TriMesh:

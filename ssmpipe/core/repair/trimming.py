@@ -82,7 +82,7 @@ def cut_by_plane(mesh: TriMesh, point: Floats, normal: Floats, snap: float = 0.1
     kept = np.vstack(pieces)
     if len(kept) == 0:
         raise GeometryError("the plane leaves nothing of the mesh", "move the plane")
-    return compact(TriMesh(vertices, kept), slice(None))
+    return compact(TriMesh(vertices, kept))
 
 
 def trim(mesh: TriMesh, point: Floats, normal: Floats, *, snap: float = 0.1) -> TriMesh:
