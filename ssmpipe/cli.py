@@ -44,7 +44,9 @@ class _Commands(click.Group):
                 return stage_command(_registry().load(name))
         return None
 
-    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
         try:
             return super().resolve_command(ctx, args)
         except click.UsageError as error:
@@ -93,7 +95,9 @@ def _errors(debug: bool, store: Path | None = None) -> Iterator[None]:
         if debug:
             raise
         where = f": {error.filename}" if error.filename else ""
-        click.echo(f"cannot read or write{where}: {error.strerror or error}; try: free space, or check permissions", err=True)
+        click.echo(
+            f"cannot read or write{where}: {error.strerror or error}; try: free space, or check permissions", err=True
+        )
         sys.exit(74)
     except Exception as error:
         if debug:
@@ -174,10 +178,22 @@ class _Part(click.ParamType):
 @click.option("--only", multiple=True, metavar="STAGE", help="Run just this stage.  [repeatable; default: all]")
 @click.option("--shape", "shapes", multiple=True, metavar="ID", help="Run just this shape.  [repeatable; default: all]")
 @click.option(
-    "--force", multiple=True, is_flag=False, flag_value="*", metavar="[STAGE]", help="Run although up to date: one stage, or all."
+    "--force",
+    multiple=True,
+    is_flag=False,
+    flag_value="*",
+    metavar="[STAGE]",
+    help="Run although up to date: one stage, or all.",
 )
-@click.option("-j", "--jobs", type=click.IntRange(1), metavar="N", help="Child processes.  [default: processors, at most 8]")
-@click.option("--part", type=_Part(), metavar="i/N", help="Every N-th shape from the i-th on; per-shape stages only.  [default: all]")
+@click.option(
+    "-j", "--jobs", type=click.IntRange(1), metavar="N", help="Child processes.  [default: processors, at most 8]"
+)
+@click.option(
+    "--part",
+    type=_Part(),
+    metavar="i/N",
+    help="Every N-th shape from the i-th on; per-shape stages only.  [default: all]",
+)
 @_set_option
 @click.option("-q", "--quiet", is_flag=True, help="Print errors only.  [default: off]")
 @click.option("-v", "--verbose", count=True, help="Print every task (-v), and why it runs (-vv).  [default: 0]")
@@ -248,7 +264,9 @@ def status(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
 @main.command()
 @_config_argument
 @_set_option
-@click.option("-j", "--jobs", type=click.IntRange(1), metavar="N", help="Child processes.  [default: processors, at most 8]")
+@click.option(
+    "-j", "--jobs", type=click.IntRange(1), metavar="N", help="Child processes.  [default: processors, at most 8]"
+)
 def check(config: Path, overrides: tuple[str, ...], jobs: int | None) -> None:
     """Validate the config and every scan before any work."""
     with _errors(_debug()):

@@ -32,17 +32,22 @@ class InputConfig(_Section):
 
     scans: Annotated[
         str | list[str] | None,
-        Field(description="Folder, file, glob pattern, or a list of them; the id of a shape is its file name without suffix."),
+        Field(
+            description="Folder, file, glob pattern, or a list of them; the id of a shape is its file name without suffix."
+        ),
     ] = None
     cohort: Annotated[
         str | None, Field(description="CSV table: id, then any of path, side (L/R), group, subject, age, ...")
     ] = None
     landmarks: Annotated[
         str | None,
-        Field(description="Named points in scan coordinates: {id: {name: [x, y, z]}} as JSON, or Slicer, MeshLab, CSV files."),
+        Field(
+            description="Named points in scan coordinates: {id: {name: [x, y, z]}} as JSON, or Slicer, MeshLab, CSV files."
+        ),
     ] = None
     units: Annotated[
-        Literal["mm", "cm", "m", "um", "none"], Field(description="Length unit of scans and landmarks; none: keep as is.")
+        Literal["mm", "cm", "m", "um", "none"],
+        Field(description="Length unit of scans and landmarks; none: keep as is."),
     ] = "mm"
     roles: Annotated[
         dict[str, str], Field(description="Which named landmark serves which step: {role: landmark name}.")
@@ -71,15 +76,19 @@ class RunConfig(_Section):
     output: Annotated[str, Field(min_length=1, description="Output folder, relative to the config file.")]
     anatomy: Annotated[
         str | None,
-        Field(description="Preset that fills `stages` with defaults; without one, `stages` is the whole chain in order."),
+        Field(
+            description="Preset that fills `stages` with defaults; without one, `stages` is the whole chain in order."
+        ),
     ] = None
     stages: Annotated[
-        list[Any], Field(description="Stages with options; merged by name into the preset's chain when `anatomy` is given.")
+        list[Any],
+        Field(description="Stages with options; merged by name into the preset's chain when `anatomy` is given."),
     ] = []
     seed: Annotated[int, Field(ge=0, description="Seed of everything random.")] = 0
     min_shapes: Annotated[int, Field(ge=2, description="Group stages need at least this many shapes.")] = 3
     max_failed_fraction: Annotated[
-        float, Field(ge=0, le=1, description="Group stages are not run when a larger fraction of the shapes failed [1].")
+        float,
+        Field(ge=0, le=1, description="Group stages are not run when a larger fraction of the shapes failed [1]."),
     ] = 0.5
     limits: LimitsConfig = LimitsConfig()
 
@@ -138,6 +147,8 @@ def load_project(path: Path, overrides: Sequence[str] = (), registry: Registry |
     registry = registry or Registry.default()
     document = read_document(path)
     base = path.resolve().parent
+    if document.data.get("stages", 0) is None:
+        document.data["stages"] = []  # a bare `stages:` with everything below it commented out
     for text in overrides:
         _override(document, text)
     problems: list[str] = []
@@ -149,14 +160,18 @@ def load_project(path: Path, overrides: Sequence[str] = (), registry: Registry |
         if step is not None:
             prepared.append(step)
     if not entries and not problems:
-        problems.append(f"{document.where(())}: stages: the chain is empty; set anatomy: {' | '.join(PRESETS)}, or list stages")
+        problems.append(
+            f"{document.where(())}: stages: the chain is empty; set anatomy: {' | '.join(PRESETS)}, or list stages"
+        )
     sources: list[Source] = []
     warnings: list[str] = []
     if config is not None:
         sources, warnings = _sources(config, document, base, problems)
     kinds = dict(sources[0].kinds) if sources else {}
     if kinds and len({s.is_spline for s in sources}) > 1:
-        problems.append(f"{document.where(('input', 'scans'))}: input.scans: meshes and splines cannot be mixed in one cohort")
+        problems.append(
+            f"{document.where(('input', 'scans'))}: input.scans: meshes and splines cannot be mixed in one cohort"
+        )
     if kinds and not problems:
         prepared = _enter(prepared, kinds)
         try:
@@ -282,7 +297,9 @@ def _existing(loc: Iterable[Any], data: Any) -> tuple[Loc, Any]:
     """Cut the tags of union branches off a pydantic location: keep the part that exists in the data."""
     kept: list[Any] = []
     for part in loc:
-        if (isinstance(data, dict) and part in data) or (isinstance(data, list) and isinstance(part, int) and part < len(data)):
+        if (isinstance(data, dict) and part in data) or (
+            isinstance(data, list) and isinstance(part, int) and part < len(data)
+        ):
             data = data[part]
             kept.append(part)
         elif not isinstance(data, dict | list):
@@ -381,10 +398,14 @@ def _entries(document: Document, registry: Registry, problems: list[str]) -> lis
         name, options = next(iter(item.items()))
         loc: Loc = ("stages", i, name)
         if name not in registry.names():
-            problems.append(f"{document.where(loc)}: stages.{i}: unknown stage '{name}'{did_you_mean(name, registry.names())}")
+            problems.append(
+                f"{document.where(loc)}: stages.{i}: unknown stage '{name}'{did_you_mean(name, registry.names())}"
+            )
             continue
         if options is not None and not isinstance(options, dict):
-            problems.append(f"{document.where(loc)}: {name}: needs options as a mapping (got {json.dumps(options)[:60]})")
+            problems.append(
+                f"{document.where(loc)}: {name}: needs options as a mapping (got {json.dumps(options)[:60]})"
+            )
             continue
         options = dict(options or {})
         extra = {key: options.pop(key) for key in RESERVED if key in options}
@@ -475,7 +496,9 @@ def _sources(config: RunConfig, document: Document, base: Path, problems: list[s
         problems.append(f"{document.where(at)}: {'.'.join(at)}: {error}")
         return [], []
     if section.roles and section.landmarks is None:
-        problems.append(f"{document.where(('input', 'roles'))}: input.roles: names landmarks, but input.landmarks is not set")
+        problems.append(
+            f"{document.where(('input', 'roles'))}: input.roles: names landmarks, but input.landmarks is not set"
+        )
     at = ("input", "scans")
     try:
         if section.scans is not None:

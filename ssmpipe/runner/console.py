@@ -56,7 +56,9 @@ class Console:
             self._bar.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
         if self._bar is not None:
             self._bar.stop()
             self._bar = None
@@ -78,7 +80,10 @@ class Console:
                 self._bar.update(self._task, description=f"{who}{event.step}")
             elif event.kind == "progress" and event.key == COHORT:
                 self._bar.update(
-                    self._task, description=f"{event.step} {event.text}", completed=event.done, total=max(event.total, 1)
+                    self._task,
+                    description=f"{event.step} {event.text}",
+                    completed=event.done,
+                    total=max(event.total, 1),
                 )
         elif event.kind == "start":
             self.say(f"  {who}{event.step} ...", level=1)

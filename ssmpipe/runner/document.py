@@ -108,7 +108,9 @@ def _load(text: str, name: str) -> Any:
         problem = (error.problem or error.context or "not valid YAML").strip().splitlines()[0]
         raise ConfigError(f"{name}:{line}: {problem}") from None
     except (YAMLError, RecursionError, ValueError) as error:
-        raise ConfigError(f"{name}: not valid YAML: {str(error).splitlines()[0] if str(error) else 'unreadable'}") from None
+        raise ConfigError(
+            f"{name}: not valid YAML: {str(error).splitlines()[0] if str(error) else 'unreadable'}"
+        ) from None
 
 
 def _plain(node: Any, loc: Loc, lines: dict[Loc, int]) -> Any:

@@ -140,7 +140,9 @@ def run_task(
                 ctx.progress = progress
             stage = workspace.registry.load(step.stage)
             cfg = stage.config.model_validate_json(json.dumps(_stage_options(step)))
-            artifacts = _inputs(workspace, step, shape, ids, prepare=prepare, ctx=ctx, scans={} if scans is None else scans)
+            artifacts = _inputs(
+                workspace, step, shape, ids, prepare=prepare, ctx=ctx, scans={} if scans is None else scans
+            )
             ports = stage.prepared if prepare else stage.outputs
             made = _call(stage, artifacts, cfg, ctx, prepare=prepare)
             _check_made(stage, ports, made)

@@ -43,7 +43,13 @@ def slot_digest(files: Mapping[str, str]) -> str:
 
 
 def fingerprint(
-    *, stage: str, version: int, config: Mapping[str, Any], inputs: Mapping[str, str | None], seed: int, shape: str | None
+    *,
+    stage: str,
+    version: int,
+    config: Mapping[str, Any],
+    inputs: Mapping[str, str | None],
+    seed: int,
+    shape: str | None,
 ) -> str:
     """Return the digest of all that determines a task's output, and of nothing else.
 

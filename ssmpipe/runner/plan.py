@@ -103,7 +103,9 @@ def make_plan(steps: Sequence[Step], source: Mapping[str, str]) -> Plan:
     ConfigError
         If a required slot has no producer, or the producer makes another kind of artifact.
     """
-    made: dict[str, list[tuple[Producer, str]]] = {slot: [(Producer(SCAN, "shape"), kind)] for slot, kind in source.items()}
+    made: dict[str, list[tuple[Producer, str]]] = {
+        slot: [(Producer(SCAN, "shape"), kind)] for slot, kind in source.items()
+    }
     planned: list[PlannedStep] = []
     problems: list[str] = []
     for number, step in enumerate(steps, start=1):

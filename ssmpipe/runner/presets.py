@@ -65,11 +65,11 @@ PRESETS: Mapping[str, Preset] = {
             topology="disk",
             stages=(
                 ("repair", {}),
-                ("orient", {}),
+                ("orient", {"mirror": "none", "frame": "principal"}),
                 ("smooth", {}),
                 ("decimate", {}),
                 ("align", {}),
-                ("parameterize", {}),
+                ("parameterize", {"corner_axes": "rim"}),
                 ("sample", {}),
                 ("fit", {}),
                 *_GROUP,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -88,10 +89,8 @@ def task_entry(
         "metrics": dict(manifest.metrics),
         "warnings": list(manifest.warnings),
     }
-    try:
+    with contextlib.suppress(OSError, ValueError):
         entry["timing"] = json.loads((folder / TIMING).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        pass
     return entry
 
 

@@ -91,4 +91,6 @@ def write_report(
         manifest.write(aside)
         os.replace(aside, folder / FILE)
     workspace.forget()
-    return target, TaskRecord(step.id, None, "done", decision.reason, request.fingerprint, seconds=time.perf_counter() - clock)
+    return target, TaskRecord(
+        step.id, None, "done", decision.reason, request.fingerprint, seconds=time.perf_counter() - clock
+    )

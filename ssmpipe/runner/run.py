@@ -169,7 +169,9 @@ class _Run:
         for warning in self.project.warnings:
             self.console.warn(warning)
         if self.chosen.dropped:
-            self.console.say(f"not all shapes are selected, so group stages are left out: {', '.join(self.chosen.dropped)}")
+            self.console.say(
+                f"not all shapes are selected, so group stages are left out: {', '.join(self.chosen.dropped)}"
+            )
         jobs = self.options.jobs or default_jobs()
         limits = self.project.config.limits
         batch = Batch(
@@ -339,7 +341,9 @@ class _Run:
         if not ids:
             self._stop(f"'{step.id}': no shape is left", QUARANTINED)
             return
-        self._group_job(batch, Job(self.workspace.only(ids), (step.id,), None, tuple(ids), self.chosen.forced, prepare=True))
+        self._group_job(
+            batch, Job(self.workspace.only(ids), (step.id,), None, tuple(ids), self.chosen.forced, prepare=True)
+        )
         self.alive = [i for i in self.alive if i in self.chosen.shapes]
 
     def _cohort(self, batch: Batch, step: PlannedStep) -> None:
@@ -406,7 +410,13 @@ class _Run:
         manifest = self.workspace.manifest(folder)
         if manifest is not None:
             self.records[(step, shape or None)] = TaskRecord(
-                step, shape or None, "up to date", "up to date", manifest.request.fingerprint, manifest.metrics, manifest.warnings
+                step,
+                shape or None,
+                "up to date",
+                "up to date",
+                manifest.request.fingerprint,
+                manifest.metrics,
+                manifest.warnings,
             )
 
     def _stop(self, problem: str, exit_code: int, *, say: bool = True) -> None:
@@ -432,7 +442,11 @@ class _Run:
 
     def _write_run(self, totals: dict[str, Any]) -> None:
         record = run_record(self.project, self.workspace, self._remaining_failures(), self.records, totals, machine())
-        name = "run.json" if self.options.part is None else f"run.part-{self.options.part[0]}-of-{self.options.part[1]}.json"
+        name = (
+            "run.json"
+            if self.options.part is None
+            else f"run.part-{self.options.part[0]}-of-{self.options.part[1]}.json"
+        )
         write_atomically(self.project.out / name, json.dumps(record, indent=1, ensure_ascii=False) + "\n")
 
     def _report(self, totals: dict[str, Any]) -> Path | None:
@@ -454,4 +468,9 @@ class _Run:
 
 def machine() -> dict[str, Any]:
     """Return what the run was made on."""
-    return {"system": platform.platform(), "processor": platform.machine(), "n_cpu": os.cpu_count(), "host": platform.node()}
+    return {
+        "system": platform.platform(),
+        "processor": platform.machine(),
+        "n_cpu": os.cpu_count(),
+        "host": platform.node(),
+    }

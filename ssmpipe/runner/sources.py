@@ -20,7 +20,12 @@ ID = re.compile(r"(?!\.)[A-Za-z0-9._-]{1,64}")
 TO_MM: Mapping[str, float] = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001, "none": 1.0}
 SPLINE_SUFFIX = ".npz"
 WARN_MM = 5.0
-KINDS_OF_MESH: Mapping[str, str] = {"mesh": "trimesh", "transform": "transform", "landmarks": "landmarks", "info": "info"}
+KINDS_OF_MESH: Mapping[str, str] = {
+    "mesh": "trimesh",
+    "transform": "transform",
+    "landmarks": "landmarks",
+    "info": "info",
+}
 KINDS_OF_SPLINE: Mapping[str, str] = {
     "surface": "surface",
     "transform": "transform",
@@ -85,7 +90,9 @@ class Source:
             state = self.path.stat()
             return digest(["scan", _scan_digest(self.path, state.st_size, state.st_mtime_ns), factor])
         except OSError as error:
-            raise ArtifactError(f"the file cannot be read ({error.strerror or error})", "check path and permissions") from error
+            raise ArtifactError(
+                f"the file cannot be read ({error.strerror or error})", "check path and permissions"
+            ) from error
 
     def load(self) -> dict[str, Any]:
         """Read and check the scan; return the artifacts by slot, with warnings under ``"warnings"``.
@@ -101,7 +108,8 @@ class Source:
 
         factor = TO_MM[self.units]
         marks = Landmarks(
-            {name: factor * np.array(p, dtype=np.float64) for name, p in (self.landmarks or {}).items()}, dict(self.roles)
+            {name: factor * np.array(p, dtype=np.float64) for name, p in (self.landmarks or {}).items()},
+            dict(self.roles),
         )
         common = {
             "transform": np.diag([factor, factor, factor, 1.0]),
@@ -146,7 +154,9 @@ def check_size(mesh: Any, limits: tuple[float, float] | None, anatomy: str, unit
     raw = diagonal / TO_MM[units]
     fits = [name for name, f in TO_MM.items() if name != "none" and limits[0] <= raw * f <= limits[1]]
     remedy = f"set input.units: {fits[0]}" if fits else "check that the file shows the right bone, and its units"
-    raise GeometryError(f"bounding box diagonal is {diagonal:.3g} mm, {anatomy} expects {limits[0]:g}-{limits[1]:g} mm", remedy)
+    raise GeometryError(
+        f"bounding box diagonal is {diagonal:.3g} mm, {anatomy} expects {limits[0]:g}-{limits[1]:g} mm", remedy
+    )
 
 
 def landmark_distances(mesh: Any, points: Mapping[str, Any]) -> dict[str, float]:
@@ -213,7 +223,9 @@ def scan_files(patterns: Sequence[Path], suffixes: Sequence[str]) -> list[Path]:
         elif pattern.exists():
             hits = [pattern]
         else:
-            raise ConfigError(f"the scan {pattern} does not exist", "check input.scans; paths are relative to the config file")
+            raise ConfigError(
+                f"the scan {pattern} does not exist", "check input.scans; paths are relative to the config file"
+            )
         if not hits:
             raise ConfigError(f"no scans match {pattern}", "check input.scans; paths are relative to the config file")
         found.update(dict.fromkeys(hits))
@@ -245,7 +257,9 @@ def find_sources(
         row.pop("path", None)
         points = (landmarks or {}).get(shape_id)
         if landmarks is not None and points is None:
-            warnings.append(f"{shape_id}: no landmarks in the landmark file; stages that need a named one will refuse it")
+            warnings.append(
+                f"{shape_id}: no landmarks in the landmark file; stages that need a named one will refuse it"
+            )
         plain = None if points is None else {name: tuple(float(x) for x in p) for name, p in points.items()}
         sources.append(
             Source(shape_id, files[shape_id], landmarks=plain, side=_SIDES[text.lower()], columns=row, **common)
@@ -271,7 +285,8 @@ def by_id(paths: Sequence[Path]) -> dict[str, Path]:
         shape_id = path.stem
         if not ID.fullmatch(shape_id):
             raise ConfigError(
-                f"'{path.name}' cannot serve as shape id", "use up to 64 letters, digits, '.', '_' or '-', no leading '.'"
+                f"'{path.name}' cannot serve as shape id",
+                "use up to 64 letters, digits, '.', '_' or '-', no leading '.'",
             )
         if shape_id in files:
             raise ConfigError(f"two scans have the id '{shape_id}': {files[shape_id]} and {path}", "rename one of them")

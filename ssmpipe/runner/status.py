@@ -60,7 +60,9 @@ def status_of(project: Project) -> list[TaskStatus]:
 def print_status(tasks: Sequence[TaskStatus], project: Project, console: Console, *, as_json: bool = False) -> None:
     """Print a table with a row per stage, or JSON with a row per task."""
     if as_json:
-        print(json.dumps({"output": str(project.out), "tasks": [asdict(t) for t in tasks]}, indent=1, ensure_ascii=False))
+        print(
+            json.dumps({"output": str(project.out), "tasks": [asdict(t) for t in tasks]}, indent=1, ensure_ascii=False)
+        )
         return
     from rich.table import Table as RichTable
 

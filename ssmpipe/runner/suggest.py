@@ -17,7 +17,9 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     '; known: a, b'
     """
     words = sorted(set(known))
-    close = difflib.get_close_matches(word.lower().replace("_", "-"), [w.lower().replace("_", "-") for w in words], n=1, cutoff=0.6)
+    close = difflib.get_close_matches(
+        word.lower().replace("_", "-"), [w.lower().replace("_", "-") for w in words], n=1, cutoff=0.6
+    )
     if close:
         best = next(w for w in words if w.lower().replace("_", "-") == close[0])
         return f"; did you mean '{best}'?"

@@ -94,7 +94,9 @@ class Workspace:
         _, manifest = self.produced(producer, shape)
         if manifest is None:
             what = f"'{slot}' of stage '{producer.step}'"
-            raise NotMadeYetError(f"{what} has not been made yet", f"run it first: ssmpipe run ... --from {producer.step}")
+            raise NotMadeYetError(
+                f"{what} has not been made yet", f"run it first: ssmpipe run ... --from {producer.step}"
+            )
         return manifest.outputs[slot].digest if slot in manifest.outputs else "absent"
 
     def input_digests(self, step: PlannedStep, shape: str | None, ids: Sequence[str]) -> dict[str, str | None]:
@@ -119,13 +121,21 @@ class Workspace:
             if producer is not None and not producer.prepared and producer.scope == "shape"
         }
 
-    def request(self, step: PlannedStep, shape: str | None, ids: Sequence[str] = (), *, prepare: bool = False) -> Request:
+    def request(
+        self, step: PlannedStep, shape: str | None, ids: Sequence[str] = (), *, prepare: bool = False
+    ) -> Request:
         """Return what a task would be run with now."""
         inputs = self.prepare_digests(step, ids) if prepare else self.input_digests(step, shape, ids)
         return Request(step.stage, step.version, dict(step.options), inputs, self.seed, shape)
 
     def decision(
-        self, step: PlannedStep, shape: str | None, ids: Sequence[str] = (), *, prepare: bool = False, force: bool = False
+        self,
+        step: PlannedStep,
+        shape: str | None,
+        ids: Sequence[str] = (),
+        *,
+        prepare: bool = False,
+        force: bool = False,
     ) -> Decision:
         """Return whether a task has to run, and why."""
         folder = self.prepared_folder(step) if prepare else self.folder(step, shape)
@@ -184,8 +194,13 @@ def forecast(
                 waits.append(f"{slot} (from {producer.step})")
         if waits:
             folder = workspace.prepared_folder(step) if prepare else workspace.folder(step, shape)
-            first = workspace.manifest(folder) is None
-            decision = Decision(True, "first run" if first else f"input may change: {', '.join(waits)}")
+            old = workspace.manifest(folder)
+            request = Request(
+                step.stage, step.version, dict(step.options), old.request.inputs if old else {}, workspace.seed
+            )
+            decision = decide(old, request, folder, force=step.id in force)
+            if not decision.run:
+                decision = Decision(True, f"input may change: {', '.join(waits)}")
         else:
             try:
                 decision = workspace.decision(step, shape, members, prepare=prepare, force=step.id in force)

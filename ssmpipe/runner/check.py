@@ -1,0 +1,178 @@
+"""Look at every scan before any work: can it be read, what is it, do units, side and landmarks fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import TimeoutError as FutureTimeout
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from ssmpipe.core.errors import SsmpipeError
+from ssmpipe.runner.batch import one_thread_environment, start_child
+from ssmpipe.runner.config import Project
+from ssmpipe.runner.presets import PRESETS
+from ssmpipe.runner.run import default_jobs
+from ssmpipe.runner.sources import TO_MM, Source, check_landmarks, check_size, landmark_distances
+
+if TYPE_CHECKING:
+    from ssmpipe.runner.console import Console
+
+
+@dataclass(frozen=True)
+class ScanCheck:
+    """What one scan is; ``error`` is empty when it can be used.
+
+    Lengths are in mm, or in file units when the config says ``units: none``. Counts are those of the file: ``genus`` is the
+    number of handles of the largest component, None where edges are shared by more than two faces.
+    """
+
+    id: str
+    file: str
+    side: str | None = None
+    n_vertices: int | None = None
+    n_faces: int | None = None
+    n_components: int | None = None
+    n_loops: int | None = None
+    genus: int | None = None
+    size: tuple[float, float, float] | None = None
+    n_landmarks: int = 0
+    farthest: float | None = None
+    warnings: tuple[str, ...] = ()
+    error: str = ""
+
+
+def inspect(source: Source) -> ScanCheck:
+    """Read a scan and describe it; everything that is wrong with it ends in ``error`` or ``warnings``."""
+    found = ScanCheck(source.id, source.path.name, source.side, n_landmarks=len(source.landmarks or {}))
+    try:
+        if source.is_spline:
+            source.load()
+            return found
+        return _inspect_mesh(source, found)
+    except SsmpipeError as error:
+        return replace(found, error=str(error))
+    except OSError as error:
+        return replace(found, error=f"the file cannot be read ({error.strerror or error})")
+    except (Exception, SystemExit) as error:
+        return replace(found, error=f"internal error {type(error).__name__}: {error}")
+
+
+def _inspect_mesh(source: Source, found: ScanCheck) -> ScanCheck:
+    import numpy as np
+
+    from ssmpipe.core.mesh.topology import boundary_loops, compact, face_components, genus, is_edge_manifold
+    from ssmpipe.core.mesh.trimesh import TriMesh
+    from ssmpipe.io.meshes import read_mesh
+
+    factor = TO_MM[source.units]
+    mesh = read_mesh(source.path)
+    mesh = TriMesh(mesh.vertices * factor, mesh.faces)
+    size = np.ptp(mesh.vertices, axis=0)
+    component = face_components(mesh.faces)
+    counts = np.bincount(component)
+    warnings = []
+    if len(counts) > 1:
+        small = len(mesh.faces) - int(counts.max())
+        warnings.append(f"{len(counts)} components; {small} faces lie outside the largest")
+    main = compact(mesh, component == int(counts.argmax()))
+    n_loops = handles = None
+    if is_edge_manifold(main.faces):
+        n_loops, handles = len(boundary_loops(main.faces)), genus(main.faces)
+        if handles > 0:
+            warnings.append(f"{handles} handles; the chain needs a surface without, close them in the segmentation")
+    else:
+        warnings.append("some edges are shared by more than two faces; repair is needed")
+    found = replace(
+        found,
+        n_vertices=mesh.n_vertices,
+        n_faces=mesh.n_faces,
+        n_components=len(counts),
+        n_loops=n_loops,
+        genus=handles,
+        size=(float(size[0]), float(size[1]), float(size[2])),
+        warnings=tuple(warnings),
+    )
+    errors = []
+    points = {name: factor * np.array(p) for name, p in (source.landmarks or {}).items()}
+    distances = landmark_distances(mesh, points)
+    found = replace(found, farthest=max(distances.values(), default=None))
+    try:
+        check_size(mesh, source.diagonal_mm, source.anatomy, source.units)
+        warnings += check_landmarks(mesh, points, source.tolerance_mm, source.units)
+    except SsmpipeError as error:
+        errors.append(str(error))
+    missing = sorted(
+        f"{role}: '{name}'"
+        for role, name in source.roles.items()
+        if source.landmarks is not None and name not in points
+    )
+    if missing:
+        warnings.append(f"landmark missing for role {', '.join(missing)}")
+    preset = PRESETS.get(source.anatomy)
+    if preset is not None and preset.needs_side and source.side is None:
+        warnings.append("side is unknown; add a column side (L or R) to the cohort table")
+    return replace(found, warnings=tuple(warnings), error="; ".join(errors))
+
+
+def check_project(project: Project, jobs: int | None = None) -> list[ScanCheck]:
+    """Inspect all scans in child processes; one that crashes its reader is named like any other."""
+    from pebble import ProcessExpired, ProcessPool
+
+    limits = project.config.limits
+    n = min(jobs or default_jobs(), len(project.sources))
+    checks: list[ScanCheck] = []
+    with TemporaryDirectory(prefix="ssmpipe-") as noise, one_thread_environment():
+        pool: Any = ProcessPool(
+            max_workers=n,
+            initializer=start_child,
+            initargs=(limits.memory_mb, f"{noise}/libraries.txt"),
+            context=get_context("spawn"),
+        )
+        with pool:
+            futures = [
+                (s, pool.schedule(inspect, args=(s,), timeout=limits.timeout_s)) for s in project.sources.values()
+            ]
+            for source, future in futures:
+                plain = ScanCheck(source.id, source.path.name, source.side)
+                try:
+                    checks.append(future.result())
+                except FutureTimeout:
+                    checks.append(replace(plain, error=f"could not be read within {limits.timeout_s:g} s"))
+                except ProcessExpired:
+                    checks.append(replace(plain, error="the reader crashed; open and export the scan in a mesh viewer"))
+    return checks
+
+
+def print_checks(checks: Sequence[ScanCheck], project: Project, console: Console) -> None:
+    """Print a table of the scans, then warnings and errors, one line each."""
+    from rich.table import Table as RichTable
+
+    unit = "file units" if project.config.input.units == "none" else "mm"
+    table = RichTable(title=f"{project.config.name}: {len(checks)} scans", title_justify="left")
+    for name in ("id", "side"):
+        table.add_column(name)
+    for name in ("vertices", "faces", "parts", "loops", "genus", f"size [{unit}]", "landmarks", f"farthest [{unit}]"):
+        table.add_column(name, justify="right")
+    table.add_column("verdict")
+
+    def text(value: Any) -> str:
+        return "-" if value is None else f"{value:.1f}" if isinstance(value, float) else str(value)
+
+    for c in checks:
+        size = " x ".join(f"{x:.4g}" for x in c.size) if c.size else None
+        numbers = (c.n_vertices, c.n_faces, c.n_components, c.n_loops, c.genus, size, c.n_landmarks or None, c.farthest)
+        verdict = "refused" if c.error else "see below" if c.warnings else "ok"
+        table.add_row(c.id, c.side or "-", *(text(x) for x in numbers), verdict)
+    console.table(table)
+    for warning in project.warnings:
+        console.warn(warning)
+    for c in checks:
+        for warning in c.warnings:
+            console.warn(f"{c.id}, {c.file}: {warning}")
+    for c in checks:
+        if c.error:
+            console.error(f"refused: {c.id}, {c.file}: {c.error}")
+    n_bad = sum(bool(c.error) for c in checks)
+    console.say(f"config is valid; {len(checks) - n_bad} of {len(checks)} scans can be used")

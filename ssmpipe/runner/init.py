@@ -1,0 +1,111 @@
+"""Write a commented config for a folder of scans."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections import Counter
+from pathlib import Path
+
+from ssmpipe.core.errors import ConfigError
+from ssmpipe.runner.execute import write_atomically
+from ssmpipe.runner.presets import Preset, find_preset
+from ssmpipe.runner.registry import Registry
+from ssmpipe.runner.sources import by_id, scan_files
+
+
+def write_config(
+    anatomy: str, scans_dir: Path, target: Path, registry: Registry, *, overwrite: bool = False
+) -> list[str]:
+    """Write the config and return lines that say what was found and what to do next.
+
+    Raises
+    ------
+    ConfigError
+        If the anatomy is unknown, the folder holds no scans, or the file exists.
+    """
+    from ssmpipe.io.meshes import MESH_SUFFIXES
+
+    preset = find_preset(anatomy)
+    if target.exists() and not overwrite:
+        raise ConfigError(f"{target} exists already", "choose another name, or --overwrite")
+    if not scans_dir.is_dir():
+        raise ConfigError(f"there is no folder {scans_dir}")
+    files = by_id(scan_files([scans_dir], MESH_SUFFIXES))
+    suffixes = Counter(path.suffix for path in files.values())
+    scans = scans_dir / f"*{suffixes.most_common(1)[0][0]}" if len(suffixes) == 1 else scans_dir
+    cohort = _beside(scans_dir, ("cohort.csv",))
+    landmarks = _beside(scans_dir, ("landmarks.json", "landmarks.csv"))
+    base = target.resolve().parent
+    named = [None if path is None else _relative(path, base) for path in (cohort, landmarks)]
+    text = _text(preset, target.stem, _relative(scans, base), *named) + _stages(preset, registry)
+    write_atomically(target, text)
+    lines = [f"{len(files)} scans in {scans_dir}; config written to {target}"]
+    if cohort is None and preset.needs_side:
+        lines.append("no cohort.csv beside the scans: left and right cannot be told apart until input.cohort is given")
+    if landmarks is None:
+        lines.append("no landmarks.json beside the scans: geometry decides where a step could use a landmark")
+    return [*lines, f"next: ssmpipe check {target}, then ssmpipe run {target}"]
+
+
+def _beside(scans_dir: Path, names: tuple[str, ...]) -> Path | None:
+    for folder in (scans_dir, scans_dir.resolve().parent):
+        for name in names:
+            if (folder / name).is_file():
+                return folder / name
+    return None
+
+
+def _relative(path: Path, base: Path) -> str:
+    return Path(os.path.relpath(path.parent.resolve() / path.name, base)).as_posix()
+
+
+def _quoted(text: str) -> str:
+    return text if re.fullmatch(r"[\w./-][\w./* -]*", text) else json.dumps(text, ensure_ascii=False)
+
+
+def _text(preset: Preset, name: str, scans: str, cohort: str | None, landmarks: str | None) -> str:
+    def optional(key: str, value: str | None, example: str, comment: str) -> str:
+        line = f"{key}: {_quoted(value)}" if value else f"# {key}: {example}"
+        return f"  {line:<44} # {comment}\n"
+
+    size = (
+        f"; the bounding-box diagonal must be {preset.diagonal_mm[0]:g}-{preset.diagonal_mm[1]:g} mm"
+        if preset.diagonal_mm
+        else ""
+    )
+    return (
+        f"# {preset.summary}. Paths are relative to this file; every key but name, input and output has a default.\n"
+        f"name: {_quoted(name)}\n"
+        "input:\n"
+        f"  {'scans: ' + _quoted(scans):<44} # folder, glob or list; id = file name without suffix\n"
+        + optional("cohort", cohort, "cohort.csv", "table: id, side (L/R), group, subject, age, ...")
+        + optional("landmarks", landmarks, "landmarks.json", "{id: {name: [x, y, z]}}, scan coordinates")
+        + f"  {'units: mm':<44} # mm, cm, m, um or none{size}\n"
+        + f"  {'# roles: {trim: name of a landmark}':<44} # which landmark serves which step\n"
+        f"output: {_quoted('out/' + name)}\n"
+        f"anatomy: {preset.name}\n"
+        f"{'seed: 0':<46} # of everything random\n"
+        f"{'min_shapes: 3':<46} # group stages need at least this many shapes\n"
+    )
+
+
+def _stages(preset: Preset, registry: Registry) -> str:
+    lines = [
+        "",
+        "# The chain of this anatomy with its defaults. Remove the # of a stage and of the options to change.",
+        "stages:",
+    ]
+    known = registry.names()
+    for name, options in preset.stages:
+        lines.append(f"#  - {name}:" + (f"  # {registry.summary(name)}" if name in known else "  # not installed"))
+        if name not in known:
+            continue
+        for key, field in registry.load(name).config.model_fields.items():
+            default = options.get(key, field.get_default(call_default_factory=True))
+            value = json.dumps(
+                list(default) if isinstance(default, tuple) else default, default=str, ensure_ascii=False
+            )
+            lines.append(f"#      {f'{key}: {value}':<36} # {field.description or ''}".rstrip())
+    return "\n".join(lines) + "\n"
