@@ -45,7 +45,7 @@ MODES = {
 LANDMARKS = ("LEC", "MEC", "PLC", "PMC", "DLC", "DMC", "ICN")
 """Lateral and medial epicondyle; most posterior and most distal point of each condyle; distal rim of the notch."""
 
-TRUTH_TOP = 75.0
+TRUTH_TOP = 105.0
 """Height up to which the truth is given: above the cut of the usual chain [mm]."""
 
 _LOWER, _UPPER = np.array([-48.0, -42.0, -8.0]), np.array([48.0, 34.0, 170.0])
@@ -192,7 +192,7 @@ def spread_scores(n: int, rng: np.random.Generator, n_draws: int = 300) -> Float
     return draws[int(np.argmin(apart))]
 
 
-def template_mesh(spacing: float = 3.3) -> tuple[Floats, Ints]:
+def template_mesh(spacing: float = 3.6) -> tuple[Floats, Ints]:
     """Return the template's surface below :data:`TRUTH_TOP`: vertices exactly on it, triangles outward."""
     vertices, faces = polygonize(template_field, _LOWER, _UPPER, spacing, np.eye(4))
     faces = faces[(vertices[faces][:, :, 2] < TRUTH_TOP).all(axis=1)]

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from ssmpipe.core.errors import ArtifactError
 from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.io.mesh_formats.stl import merge_corners
 from ssmpipe.io.meshes import MESH_SUFFIXES, read_mesh, write_mesh
 
 V = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]) * 10 / 3
@@ -133,6 +134,10 @@ VALID: dict[str, tuple[str, bytes, np.ndarray, np.ndarray]] = {
     ),
     "obj": ("a.obj", obj(), V, F),
     "obj negative indices, slashes, quad": ("a.obj", obj("f -4//1 -3//2 -2//3 -1//4\n"), V, QUAD),
+    "obj negative indices between vertices": ("a.obj",
+        b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 0 0 1\nf -4 -1 -3\n",
+        np.eye(4)[:, 1:], np.array([[0, 1, 2], [0, 3, 1]]),
+    ),
     "obj with groups": ("a.obj", obj("g a\nusemtl b\ns off\nvn 0 0 1\nvt 0 0\n" + rows(F + 1, "f ")), V, F),
     "off": ("a.off", off(), V, F),
     "off counts in the first line, comments, colours, quad": (
@@ -318,3 +323,10 @@ def test_unknown_suffix_is_not_written(tmp_path: Path) -> None:
     with pytest.raises(ArtifactError, match=r"'\.xyz'"):
         write_mesh(tmp_path / "a.xyz", TriMesh(V, F))
     assert set(MESH_SUFFIXES) == {".stl", ".ply", ".obj", ".off", ".vtk"}
+
+
+def test_stl_corners_at_minus_zero_are_merged() -> None:
+    corners = np.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0]], [[-0.0, 0, -0.0], [0, 1, 0], [0, 0, 1]]])
+    vertices, faces = merge_corners(corners)
+    assert len(vertices) == 4
+    assert faces.tolist() == [[0, 1, 2], [0, 2, 3]]

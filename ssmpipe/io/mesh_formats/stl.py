@@ -63,7 +63,7 @@ def merge_corners(corners: Floats) -> tuple[Floats, Ints]:
     >>> merge_corners(square)[1].tolist()
     [[0, 1, 2], [0, 2, 3]]
     """
-    points = corners.reshape(-1, 3) + 0.0  # so that -0.0 equals 0.0
+    points = corners.reshape(-1, 3)
     if not len(points):
         return points, np.zeros((0, 3), dtype=np.int64)
     order = np.lexsort(points.T)
