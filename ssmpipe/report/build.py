@@ -15,6 +15,7 @@ from ssmpipe.core.model.shape_model import ShapeModel
 from ssmpipe.report.page import fill, resource
 from ssmpipe.report.section import ReportData
 from ssmpipe.report.sections import SECTIONS
+from ssmpipe.report.wording import count, number
 
 
 def build_report(
@@ -53,11 +54,14 @@ def build_report(
     """
     data = ReportData(record, correspondence, model, measures, landmark_transfer, history, certificate)
     sections = [section for render in SECTIONS if (section := render(data)) is not None]
+    name = str(record.get("name") or "Shape model")
+    about = f"{count(len(model.ids), 'shape')}, {number(len(model.mean))} points each, {count(len(model.modes), 'mode')} of variation"
     style, script = resource("templates", "report.css"), resource("assets", "viewer.js")
     return str(
         fill(
             "report.html.j2",
-            name=record.get("name") or "Shape model",
+            name=name[:1].upper() + name[1:],
+            about=about,
             version=record.get("ssmpipe_version", ""),
             sections=sections,
             style=Markup(style),

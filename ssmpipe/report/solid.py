@@ -7,7 +7,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 
 from ssmpipe.core.arrays import Floats, Ints
-from ssmpipe.report.figures import BONE, figure, pixels, style
+from ssmpipe.report.figures import BONE, coarser, figure, pixels, style
 
 
 def vertex_normals(points: Floats, faces: Ints) -> Floats:
@@ -72,7 +72,7 @@ def picture(
     radius: float,
     colours: Floats | None = None,
     inches: float = 2.2,
-    dpi: int = 150,
+    dpi: int = 140,
 ) -> np.ndarray:
     """Return an (h, w, 3) uint8 orthographic picture of a surface.
 
@@ -100,7 +100,7 @@ def picture(
     normal = np.where(back[:, None], -normal, normal)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
     light = np.array([-0.35, 0.45, 0.82])
-    shade = 0.46 + 0.56 * np.clip(normal @ light, 0, 1) + 0.10 * np.clip(normal @ light, 0, 1) ** 12
+    shade = 0.44 + 0.54 * np.clip(normal @ light, 0, 1) + 0.05 * np.clip(normal @ light, 0, 1) ** 12
     shaded = np.clip(base * (shade * np.where(back, 0.62, 1.0))[:, None], 0, 1)
     order = np.argsort(fine[:, :, 2].mean(axis=1), kind="stable")
     with style():
@@ -109,8 +109,8 @@ def picture(
         panel.set_axis_off()
         panel.add_collection(
             PolyCollection(
-                list(fine[order, :, :2]), facecolors=shaded[order], edgecolors=shaded[order], linewidths=0.25
+                list(fine[order, :, :2]), facecolors=shaded[order], edgecolors="none", linewidths=0, antialiased=False
             )
         )
         panel.set(xlim=(-radius, radius), ylim=(-radius, radius))
-        return pixels(made, dpi)
+        return coarser(pixels(made, 3 * dpi), 3)

@@ -16,7 +16,7 @@ def number(value: Any, digits: int = 3) -> str:
     Examples
     --------
     >>> number(0.123456), number(26431), number(6.0), number(None), number(-1.5), number(1e-9)
-    ('0.123', '26 431', '6.00', '–', '−1.50', '1.00e−09')
+    ('0.123', '26\u202f431', '6.00', '–', '−1.50', '1.00e−09')
     """
     if isinstance(value, bool):
         return "yes" if value else "no"
@@ -33,12 +33,12 @@ def number(value: Any, digits: int = 3) -> str:
     if not math.isfinite(x):
         return "–"
     if x == 0 or isinstance(value, (int, np.integer)):
-        text = f"{int(x):,}".replace(",", " ")
+        text = f"{int(x):,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
     elif abs(x) < 1e-4 or abs(x) >= 1e7:
         text = f"{x:.{digits - 1}e}"
     else:
         decimals = max(0, digits - 1 - math.floor(math.log10(abs(x))))
-        text = f"{x:,.{decimals}f}".replace(",", " ")
+        text = f"{x:,.{decimals}f}".replace(",", "\N{NARROW NO-BREAK SPACE}")
     return text.replace("-", "−")
 
 
@@ -48,10 +48,10 @@ def percent(fraction: Any, digits: int = 0) -> str:
     Examples
     --------
     >>> percent(0.923), percent(float("nan"))
-    ('92 %', '–')
+    ('92\xa0%', '–')
     """
     x = float(fraction)
-    return f"{100 * x:.{digits}f} %" if math.isfinite(x) else "–"
+    return f"{100 * x:.{digits}f}\N{NO-BREAK SPACE}%" if math.isfinite(x) else "–"
 
 
 def change(before: float, after: float) -> str:
@@ -60,14 +60,14 @@ def change(before: float, after: float) -> str:
     Examples
     --------
     >>> change(2.0, 1.5), change(2.0, 2.5), change(2.0, 2.0)
-    ('25 % lower', '25 % higher', 'unchanged')
+    ('25\xa0% lower', '25\xa0% higher', 'unchanged')
     """
     if not (math.isfinite(before) and math.isfinite(after)) or before == 0:
         return "–"
     ratio = (after - before) / abs(before)
     if abs(ratio) < 0.005:
         return "unchanged"
-    return f"{100 * abs(ratio):.0f} % {'lower' if ratio < 0 else 'higher'}"
+    return f"{percent(abs(ratio))} {'lower' if ratio < 0 else 'higher'}"
 
 
 def count(n: int, noun: str) -> str:
@@ -95,4 +95,4 @@ def label(key: str) -> str:
     )
     if words and words[0] == "n" and len(words) > 1:
         words = words[1:]
-    return " ".join(words) + (f" [{unit.replace('2', '²').replace('3', '³')}]" if unit else "")
+    return " ".join(words) + (f" [{unit.replace('2', '²').replace('3', '³').replace('percent', '%')}]" if unit else "")

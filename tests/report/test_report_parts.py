@@ -1,10 +1,12 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import hashlib
 import importlib
 import pkgutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,10 +16,12 @@ from ssmpipe.contract import Table
 from ssmpipe.report.bibliography import REFERENCES
 from ssmpipe.report.page import resource
 from ssmpipe.report.payload import viewer_payload
-from ssmpipe.report.section import by_correspondence
+from ssmpipe.report.section import ReportData, by_correspondence
+from ssmpipe.report.sections import shapes, summary
 from ssmpipe.report.sections.grids import area_factors, grid_nodes
 from ssmpipe.report.sections.landmarks import _pivot
 from ssmpipe.report.solid import good_view, picture, vertex_normals, view_axes
+from ssmpipe.report.wording import number
 from tests.support.small_run import grid_faces, small_run
 
 VIEWER = Path(__file__).parents[2] / "viewer"
@@ -115,6 +119,43 @@ def test_baselines_join_the_landmark_table() -> None:
     assert pivot["rows"][0]["values"] == [None, 2.3, 2.4]
     assert pivot["rows"][1]["values"] == [3.4, 2.6, 2.63]
     assert pivot["common"] == ["n_pairs"]
+
+
+def data(**changes: Any) -> ReportData:
+    return ReportData(**{**small_run().arguments(), **changes})
+
+
+def test_the_table_of_shapes_names_only_stages_that_change_the_mesh() -> None:
+    run = data()
+    columns = shapes._size_columns(run, shapes._stage_order(run))
+    assert list(columns) == ["scan", "repair", "trim", "decimate"]
+    raw = run.record["shapes"]["P01_left"]["stages"][0]["metrics"]
+    assert columns["scan"]["P01_left"] == (raw["n_vertices_in"], raw["n_faces_in"])
+    assert "P99_broken" not in columns["repair"]
+
+
+def test_of_two_directions_of_the_fit_the_larger_is_shown() -> None:
+    stage = {"metrics": {"mesh_to_spline_rms_mm": 0.05, "spline_to_mesh_rms_mm": 0.07, "mesh_to_spline_max_mm": 0.4}}
+    assert shapes._largest(stage, "rms") == 0.07
+    assert shapes._largest(stage, "max") == 0.4
+    assert shapes._largest({}, "max") is None
+
+
+def test_the_summary_says_the_numbers_of_the_tables() -> None:
+    run = data()
+    few = summary.modes_for(run, 0.9)
+    n_modes = len(run.model.variances)
+    text = summary.render(run).html
+    assert f"{run.measures.columns['generalization'][n_modes + few - 1]:.3g} mm per point" in text.replace(
+        "1.50", "1.5"
+    )
+    assert "2.58 mm from the marked ones on average; before optimization it was 3.40 mm" in text
+    assert "6 of 7" in text
+
+
+def test_modes_needed_for_a_share_of_the_variance() -> None:
+    model = dataclasses.replace(small_run().model, variances=np.array([8.0, 1.0, 0.5, 0.5]))
+    assert [summary.modes_for(data(model=model), share) for share in (0.5, 0.8, 0.9, 0.95, 1.0)] == [1, 1, 2, 3, 4]
 
 
 @pytest.mark.parametrize("name", sorted(module.name for module in pkgutil.iter_modules(ssmpipe.stages.__path__)))

@@ -100,7 +100,7 @@ def small_run(
             "correspondence": ["initial"] * k + ["optimized"] * k,
             "n_modes": [*m, *m],
             "compactness": [*(share * 0.93), *share],
-            "compactness_error": [0.02] * 2 * k,
+            "compactness_error": [*(3.4 * share), *(2.9 * share)],
             "generalization": [*(2.4 / m**0.35), *(1.5 / m**0.4)],
             "generalization_se": [*(0.3 / m**0.5), *(0.2 / m**0.5)],
             "specificity": [*(2.6 * m**0.1), *(1.9 * m**0.12)],

@@ -114,7 +114,7 @@ export class View {
   look(azimuth, elevation) {
     const [a, e] = [azimuth, elevation].map((x) => (x * Math.PI) / 180);
     const direction = new Vector3(Math.cos(e) * Math.cos(a), Math.cos(e) * Math.sin(a), Math.sin(e));
-    const distance = (1.08 * this.ball.radius) / Math.sin((this.camera.fov / 2) * (Math.PI / 180)) / Math.min(1, this.camera.aspect);
+    const distance = (1.22 * this.ball.radius) / Math.sin((this.camera.fov / 2) * (Math.PI / 180)) / Math.min(1, this.camera.aspect);
     this.camera.position.copy(this.ball.center).addScaledVector(direction, distance);
     this.controls.target.copy(this.ball.center);
     this.controls.update();

@@ -7,7 +7,7 @@ from ssmpipe.report.page import fill
 from ssmpipe.report.section import ReportData, Section
 from ssmpipe.report.wording import CORRESPONDENCE_TITLES
 
-OVERALL = ("all", "overall", "total", "mean")
+OVERALL = ("all", "overall", "total")
 
 
 def render(data: ReportData) -> Section | None:
@@ -41,6 +41,7 @@ def _pivot(table: Table) -> dict | None:
         and (key.startswith("n_") or "rater" in key)
     ]  # fmt: skip
     varying = [key for key in values if key not in common]
+    in_mm = bool(varying) and all(key.endswith("_mm") for key in varying)
     rows = []
     for mark in marks:
         first = next(cells[mark, name] for name in names if (mark, name) in cells)
@@ -58,7 +59,8 @@ def _pivot(table: Table) -> dict | None:
         )
     return {
         "common": common,
-        "varying": varying,
+        "varying": [key.removesuffix("_mm") for key in varying] if in_mm else varying,
+        "unit": "mm" if in_mm else "",
         "groups": [CORRESPONDENCE_TITLES.get(name, name.replace("_", " ").replace("-", " ")) for name in names],
         "rows": rows,
     }

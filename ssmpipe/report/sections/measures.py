@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -11,11 +13,25 @@ from ssmpipe.report.page import fill
 from ssmpipe.report.section import Group, ReportData, Section, by_correspondence
 from ssmpipe.report.wording import CORRESPONDENCE_TITLES
 
-PANELS = (
-    ("compactness", "compactness_error", "Compactness", "share of variance", "higher is better"),
-    ("generalization", "generalization_se", "Generalization", "error [{unit}]", "lower is better"),
-    ("specificity", "specificity_se", "Specificity", "distance [{unit}]", "lower is better"),
+
+@dataclass(frozen=True)
+class Measure:
+    """A column of the table of measures: its error column, title, label of the axis, and which way is better."""
+
+    column: str
+    error: str
+    title: str
+    axis: str
+    better: str
+
+
+CURVES = (
+    Measure("compactness", "", "Compactness", "share of variance", "higher is better"),
+    Measure("generalization", "generalization_se", "Generalization", "error [{unit}]", "lower is better"),
+    Measure("specificity", "specificity_se", "Specificity", "distance [{unit}]", "lower is better"),
 )
+# of the variance itself, hence in squared units: no bar on a share
+EXTRA = (Measure("compactness_error", "", "Compactness error", "[{unit}² per point]", "lower is better"),)
 
 
 def render(data: ReportData) -> Section | None:
@@ -23,44 +39,48 @@ def render(data: ReportData) -> Section | None:
     groups = by_correspondence(data.measures)
     if not groups:
         return None
-    panels = [panel for panel in PANELS if any(panel[0] in group.columns for group in groups)]
+
+    def present(measures: tuple[Measure, ...]) -> list[Measure]:
+        return [measure for measure in measures if any(measure.column in group.columns for group in groups)]
+
     numbers = sorted({n for group in groups for n in group.columns.get("n_modes", ())})
+    columns = present(CURVES[:1] + EXTRA + CURVES[1:])
     rows = []
     for n in numbers:
-        row = []
-        for name, error, *_ in panels:
-            for group in groups:
-                at = [i for i, m in enumerate(group.columns["n_modes"]) if m == n]
-                value, spread = (
-                    group.columns[key][at[0]] if at and key in group.columns else float("nan") for key in (name, error)
-                )
-                row.append((value, spread))
-        rows.append((int(n), row))
+        cells = [(_at(group, n, column.column), _at(group, n, column.error)) for column in columns for group in groups]
+        rows.append((int(n), cells))
     html = fill(
         "measures.html.j2",
-        plot=svg_uri(_plot(groups, panels, data.unit)),
-        panels=panels,
+        plot=svg_uri(_plot(groups, present(CURVES), data.unit)),
+        columns=[
+            (column.title, column.axis[column.axis.find("[") :].format(unit=data.unit) if "[" in column.axis else "")
+            for column in columns
+        ],
         groups=[CORRESPONDENCE_TITLES.get(group.name, group.name) for group in groups],
         rows=rows,
-        unit=data.unit,
         alone=data.landmark_transfer is None,
     )
     return Section("measures", "Quality of the model", html)
 
 
-def _plot(groups: list[Group], panels: list[tuple[str, str, str, str, str]], unit: str) -> Figure:
+def _at(group: Group, n_modes: float, column: str) -> float:
+    for m, value in zip(group.columns.get("n_modes", ()), group.columns.get(column, ()), strict=False):
+        if m == n_modes:
+            return value
+    return float("nan")
+
+
+def _plot(groups: list[Group], measures: list[Measure], unit: str) -> Figure:
     with style():
         made = figure(9.6, 2.9)
         made.subplots_adjust(left=0.055, right=0.995, bottom=0.29, top=0.88, wspace=0.24)
-        for axes, (name, error, title, axis, better) in zip(
-            made.subplots(1, len(panels), squeeze=False)[0], panels, strict=True
-        ):
+        for axes, measure in zip(made.subplots(1, len(measures), squeeze=False)[0], measures, strict=True):
             for shift, group in enumerate(groups):
-                if name not in group.columns:
+                if measure.column not in group.columns:
                     continue
                 n = np.array(group.columns["n_modes"]) + 0.08 * (shift - (len(groups) - 1) / 2)
-                y = np.array(group.columns[name])
-                spread = np.array(group.columns.get(error, np.zeros_like(y)))
+                y = np.array(group.columns[measure.column])
+                spread = np.array(group.columns.get(measure.error, np.zeros_like(y)))
                 axes.errorbar(
                     n,
                     y,
@@ -72,11 +92,11 @@ def _plot(groups: list[Group], panels: list[tuple[str, str, str, str, str]], uni
                     elinewidth=0.9,
                     label=CORRESPONDENCE_TITLES.get(group.name, group.name),
                 )
-            axes.set_title(title)
-            axes.set_title(better, loc="right", fontsize=8, fontweight="normal", color="#66727f")
-            axes.set(xlabel="number of modes", ylabel=axis.format(unit=unit))
+            axes.set_title(measure.title)
+            axes.set_title(measure.better, loc="right", fontsize=8, fontweight="normal", color="#66727f")
+            axes.set(xlabel="number of modes", ylabel=measure.axis.format(unit=unit))
             axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-            axes.set_ylim(0, 1.05 if name == "compactness" else None)
+            axes.set_ylim(0, 1.05 if measure.column == "compactness" else None)
         handles, names = made.axes[0].get_legend_handles_labels()
         made.legend(handles, names, loc="lower center", ncols=len(names))
         return made

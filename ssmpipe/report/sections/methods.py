@@ -11,7 +11,9 @@ def render(data: ReportData) -> Section:
     """Return the sentences of the stages in order, each with its numbers, and the bibliography."""
     steps = [step for step in data.record.get("methods") or () if step.get("sentence")]
     numbers = numbered([key for step in steps for key in step.get("cites") or ()] + list(SOFTWARE))
-    sentences = [(str(step["sentence"]).strip(), [numbers[key] for key in step.get("cites") or ()]) for step in steps]
+    sentences = [
+        (str(step["sentence"]).strip().rstrip("."), [numbers[key] for key in step.get("cites") or ()]) for step in steps
+    ]
     html = fill(
         "methods.html.j2",
         sentences=sentences,

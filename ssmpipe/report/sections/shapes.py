@@ -35,8 +35,8 @@ def render(data: ReportData) -> Section | None:
                 "id": key,
                 "side": (shape.get("info") or {}).get("side"),
                 "sizes": [sizes[column].get(key) for column in sizes],
-                "rms": _first_like(fit, "rms"),
-                "max": _first_like(fit, "max"),
+                "rms": _largest(fit, "rms"),
+                "max": _largest(fit, "max"),
                 "certificate": certificates.get(key) or {},
                 "failed": data.failures.get(key),
                 "n_warnings": sum(len(stage.get("warnings") or ()) for stage in by_key.values()),
@@ -103,10 +103,10 @@ def _size_columns(data: ReportData, keys: list[str]) -> dict[str, dict[str, tupl
     return columns
 
 
-def _first_like(stage: Mapping[str, Any], word: str) -> Any:
+def _largest(stage: Mapping[str, Any], word: str) -> Any:
     metrics = stage.get("metrics") or {}
-    names = [name for name in metrics if word in name.split("_")]
-    return to_float(metrics[names[0]]) if names else None
+    values = [to_float(metrics[name]) for name in metrics if word in name.split("_")]
+    return max(values) if values else None
 
 
 def _detail(data: ReportData, key: str) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 from ssmpipe.report.figures import png_uri
 from ssmpipe.report.page import fill
 from ssmpipe.report.payload import in_space
-from ssmpipe.report.section import ReportData, Section, by_correspondence, to_float
+from ssmpipe.report.section import ReportData, Section, to_float
 from ssmpipe.report.sections.landmarks import OVERALL
 from ssmpipe.report.solid import good_view, picture, view_axes
 from ssmpipe.report.wording import change, count, number, percent
@@ -44,7 +45,7 @@ def _verdict(data: ReportData) -> tuple[Tile, str]:
     proved = statuses["proved"]
     lowest = min((to_float(entry.get("lower_bound")) for entry in shapes.values()), default=math.nan)
     tone = "bad" if statuses["refuted"] else "good" if proved == len(shapes) else ""
-    tile = Tile(f"{proved} of {len(shapes)}", "proved one-to-one", f"smallest local area factor {number(lowest)}", tone)
+    tile = Tile(f"{proved} of {len(shapes)}", "proved one-to-one", f"smallest area factor {number(lowest)}", tone)
     if statuses["refuted"]:
         folded = ", ".join(sorted(key for key, entry in shapes.items() if entry.get("status") == "refuted"))
         return tile, f"The map folds over on {folded}: do not use these shapes, and treat the model with care."
@@ -56,109 +57,93 @@ def _verdict(data: ReportData) -> tuple[Tile, str]:
     return tile, f"For {count(len(shapes) - proved, 'shape')} it is not decided whether the map is one-to-one."
 
 
-def _measure(data: ReportData, name: str, n_modes: int) -> dict[str, float]:
-    found = {}
-    for group in by_correspondence(data.measures):
-        for m, value in zip(group.columns.get("n_modes", ()), group.columns.get(name, ()), strict=False):
-            if m == n_modes:
-                found[group.name] = value
-    return found
+def _before_after(columns: Mapping[str, Sequence[Any]], value: str, **where: Any) -> tuple[float, float] | None:
+    """Value before and after optimization in the rows of a table that match ``where``; None when there is none after."""
+    found = {
+        str(columns["correspondence"][i]): to_float(columns[value][i])
+        for i in range(len(columns.get("correspondence", ())))
+        if value in columns and all(key in columns and columns[key][i] in wanted for key, wanted in where.items())
+    }
+    return (found.get("initial", math.nan), found["optimized"]) if "optimized" in found else None
 
 
-def _measure_tile(data: ReportData, name: str, n_modes: int, title: str) -> list[Tile]:
-    found = _measure(data, name, n_modes)
-    if "optimized" not in found:
-        return []
-    before, after = found.get("initial", math.nan), found["optimized"]
+def _length_tile(value: tuple[float, float], name: str, unit: str, remark: str = "") -> Tile:
+    before, after = value
+    was = f"was {number(before)} before" if math.isfinite(before) else ""
     tone = "good" if after < before else "bad" if after > before else ""
-    remark = f"was {number(before)} before optimization" if math.isfinite(before) else ""
-    return [Tile(f"{number(after)} {data.unit}", title, remark, tone)]
+    return Tile(f"{number(after)} {unit}", name, "; ".join(text for text in (remark, was) if text), tone)
 
 
 def render(data: ReportData) -> Section:
     """Return the summary: failures first, then key numbers and what they mean."""
-    c, model = data.correspondence, data.model
-    verdict, verdict_text = _verdict(data)
     failed = {key: data.failures[key] for key in sorted(data.failures)}
-    n_given = max(len(data.shapes), len(c.ids) + len(failed))
+    few = min(max(modes_for(data, 0.9), 1), max(len(data.model.variances), 1))
+    unseen = _before_after(data.measures.columns, "generalization", n_modes=(few, str(few)))
+    transfer = data.landmark_transfer.columns if data.landmark_transfer else {}
+    carried = _before_after(transfer, next((key for key in transfer if key.startswith("mean")), ""), landmark=OVERALL)
+    verdict, verdict_text = _verdict(data)
+    before, after = (float(x) for x in data.correspondence.description_length)
+    n_ok, n_given = len(data.correspondence.ids), max(len(data.shapes), len(data.correspondence.ids) + len(failed))
     tiles = [
         Tile(
-            f"{len(c.ids)} of {n_given}",
+            f"{n_ok} of {n_given}",
             "shapes in the model",
             "" if failed else "none was set aside",
             "bad" if failed else "good",
         ),
         verdict,
-    ]
-    before, after = (float(x) for x in c.description_length)
-    tiles.append(
         Tile(
             number(after, 4),
             "description length",
-            f"{change(before, after)} (was {number(before, 4)})",
+            f"{change(before, after)}; was {number(before, 4)}",
             "good" if after < before else "bad",
-        )
-    )
-    few = min(max(modes_for(data, 0.9), 1), max(len(model.variances), 1))
-    tiles += _measure_tile(data, "generalization", few, f"error on an unseen shape, {count(few, 'mode')}")
-    tiles += _transfer_tile(data)
-    sentences = [
-        f"{count(len(c.ids), 'shape')} {'were' if len(c.ids) != 1 else 'was'} brought into correspondence at {number(model.mean.shape[0])} "
-        "points each: point number k lies at the same anatomical place on all of them."
+        ),
     ]
-    if verdict_text:
-        sentences.append(verdict_text)
-    if len(model.variances):
-        share = float(model.variances[0] / model.variances.sum()) if model.variances.sum() > 0 else math.nan
-        sentences.append(
-            f"The first mode of variation holds {percent(share)} of all differences in shape, "
-            f"90 % are held by {count(modes_for(data, 0.9), 'mode')}, 95 % by {count(modes_for(data, 0.95), 'mode')}."
-        )
-    found = _measure(data, "generalization", few)
-    if "optimized" in found:
+    if unseen:
+        tiles.append(_length_tile(unseen, "error on unseen shapes", data.unit, count(few, "mode")))
+    if carried:
+        tiles.append(_length_tile(carried, "landmark transfer, mean", data.unit))
+    sentences = [
+        f"{count(n_ok, 'shape')} {'was' if n_ok == 1 else 'were'} brought into correspondence at "
+        f"{number(len(data.model.mean))} points each: a point of one shape and the point of the same number "
+        "on any other are meant to lie at the same anatomical place.",
+        verdict_text,
+        _variation(data),
+    ]
+    if unseen:
         sentences.append(
             f"A shape that the model has never seen is reproduced by {count(few, 'mode')} with a typical error of "
-            f"{number(found['optimized'])} {data.unit} per point."
+            f"{number(unseen[1])} {data.unit} per point."
         )
-    warned = _warnings(data)
-    if warned:
+    if carried:
+        sentences.append(
+            f"Marked landmarks that are carried from shape to shape land {number(carried[1])} {data.unit} from the marked ones on average"
+            + (f"; before optimization it was {number(carried[0])} {data.unit}." if math.isfinite(carried[0]) else ".")
+        )
+    if warned := _warnings(data):
         sentences.append(
             f"{count(warned, 'warning')} {'was' if warned == 1 else 'were'} given on the way, listed with the shapes."
         )
-    return Section(
-        "summary",
-        "Summary",
-        fill(
-            "summary.html.j2",
-            tiles=tiles,
-            sentences=sentences,
-            failed=failed,
-            missing=_missing(data),
-            mean=_mean_picture(data),
-        ),
+    html = fill(
+        "summary.html.j2",
+        tiles=tiles,
+        sentences=[sentence for sentence in sentences if sentence],
+        failed=failed,
+        missing=_missing(data),
+        mean=_mean_picture(data),
     )
+    return Section("summary", "Summary", html)
 
 
-def _transfer_tile(data: ReportData) -> list[Tile]:
-    table = data.landmark_transfer
-    if table is None or "landmark" not in table.columns or "correspondence" not in table.columns:
-        return []
-    mean = next((key for key in table.columns if key.startswith("mean")), None)
-    marks = [str(mark).lower() for mark in table.columns["landmark"]]
-    if mean is None or not set(marks) & set(OVERALL):
-        return []
-    found = {
-        str(name): to_float(value)
-        for mark, name, value in zip(marks, table.columns["correspondence"], table.columns[mean], strict=True)
-        if mark in OVERALL
-    }
-    if "optimized" not in found:
-        return []
-    before, after = found.get("initial", math.nan), found["optimized"]
-    remark = f"was {number(before)} before optimization" if math.isfinite(before) else ""
-    return [
-        Tile(f"{number(after)} {data.unit}", "landmark transfer, mean", remark, "good" if after < before else "bad")
-    ]
+def _variation(data: ReportData) -> str:
+    total = float(data.model.variances.sum())
+    if not total > 0:
+        return ""
+    modes = {share: modes_for(data, share) for share in (0.9, 0.95)}
+    first = f"The first mode of variation holds {percent(float(data.model.variances[0]) / total)} of all differences in shape"
+    if modes[0.9] == modes[0.95]:
+        return f"{first}; {percent(0.95)} are held by {count(modes[0.95], 'mode')}."
+    return f"{first}; {percent(0.9)} are held by {count(modes[0.9], 'mode')}, {percent(0.95)} by {count(modes[0.95], 'mode')}."
 
 
 def _mean_picture(data: ReportData) -> str:
