@@ -54,11 +54,11 @@ def area(mesh: TriMesh) -> float:
 
 
 def volume(mesh: TriMesh) -> float:
-    """Return the signed volume [mm^3] below the faces, seen from the mean vertex: positive for closed outward surfaces.
+    """Return the signed volume [mm^3] below the faces, seen from the surface's centroid.
 
-    For an open surface it is the volume of the cone over it with the apex in the mean vertex.
+    Positive for closed outward surfaces. For an open surface it is the volume of the cone over it with the apex there.
     """
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] - mesh.vertices.mean(axis=0) for k in range(3))
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] - surface_centroid(mesh) for k in range(3))
     return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
 
 

@@ -138,7 +138,8 @@ def height_by_width(vertices: Floats, up: Floats, across: Floats, fraction: floa
     """Find the height of a cut that lies ``fraction`` widths above the lowest point, of the part below the cut itself.
 
     The width is the extent along ``across`` of what lies below the cut: what comes above it (the head of a femur) does
-    not count, so that a whole bone and its lower end give the same answer.
+    not count, so that a whole bone and its lower end give the same answer. The cut rises from near the lowest point until
+    it is high enough for the width below it.
 
     Parameters
     ----------
@@ -159,11 +160,11 @@ def height_by_width(vertices: Floats, up: Floats, across: Floats, fraction: floa
     (3.0, 2.0)
     """
     along, sideways = vertices @ up, vertices @ across
-    lowest, width = float(along.min()), float(np.ptp(sideways))
+    lowest = float(along.min())
+    width = 0.02 * float(np.ptp(along)) / fraction
     for _ in range(n_iterations):
-        below = sideways[along <= lowest + fraction * width]
-        narrower = float(np.ptp(below))
-        if narrower == width:
+        wider = float(np.ptp(sideways[along <= lowest + fraction * width]))
+        if wider <= width:
             break
-        width = narrower
+        width = wider
     return lowest + fraction * width, width

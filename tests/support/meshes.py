@@ -1,0 +1,48 @@
+"""Ways to disturb a mesh without changing the surface, and to damage it."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ssmpipe.core.align.rigid import homogeneous
+from ssmpipe.core.mesh.trimesh import TriMesh
+
+
+def random_motion(rng: np.random.Generator, shift: float = 50.0) -> np.ndarray:
+    """Return a proper rigid motion (4, 4)."""
+    quaternion = rng.normal(size=4)
+    return homogeneous(Rotation.from_quat(quaternion / np.linalg.norm(quaternion)).as_matrix(), shift * rng.normal(size=3))
+
+
+def relabeled(mesh: TriMesh, rng: np.random.Generator) -> tuple[TriMesh, np.ndarray]:
+    """Return the mesh with shuffled vertices and faces, and the new index of every old vertex."""
+    order = rng.permutation(mesh.n_vertices)
+    new = np.argsort(order)
+    faces = new[mesh.faces][rng.permutation(mesh.n_faces)]
+    return TriMesh(mesh.vertices[order], faces), new
+
+
+def joined(*meshes: TriMesh) -> TriMesh:
+    """Put meshes into one, without merging vertices."""
+    offsets = np.cumsum([0] + [m.n_vertices for m in meshes[:-1]])
+    faces = np.vstack([m.faces + o for m, o in zip(meshes, offsets, strict=True)])
+    return TriMesh(np.vstack([m.vertices for m in meshes]), faces)
+
+
+def soup(mesh: TriMesh) -> TriMesh:
+    """Give every face its own three vertices, as an STL file does."""
+    return TriMesh(mesh.vertices[mesh.faces].reshape(-1, 3), np.arange(3 * mesh.n_faces).reshape(-1, 3))
+
+
+def noisy(mesh: TriMesh, rng: np.random.Generator, sigma: float) -> TriMesh:
+    """Move vertices at random."""
+    return TriMesh(mesh.vertices + sigma * rng.normal(size=mesh.vertices.shape), mesh.faces)
+
+
+def box(low: tuple[float, float, float], size: float = 1.0) -> TriMesh:
+    """Return a cube of twelve triangles, outward."""
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
+    return TriMesh(np.array(low) + size * corners, np.array(faces))
