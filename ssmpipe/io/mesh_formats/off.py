@@ -1,14 +1,12 @@
-"""OFF, read by trimesh behind a check of its counts."""
+"""OFF in ASCII: vertices and faces; colours are skipped."""
 
 from __future__ import annotations
-
-import io
 
 import numpy as np
 
 from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.errors import ArtifactError
-from ssmpipe.io.mesh_formats.polygons import EXPORT_AGAIN, MAX_CORNERS
+from ssmpipe.io.mesh_formats.polygons import EXPORT_AGAIN, MAX_CORNERS, to_floats, to_ints, triangulate
 
 
 def parse(data: bytes) -> tuple[Floats, Ints]:
@@ -43,10 +41,8 @@ def parse(data: bytes) -> tuple[Floats, Ints]:
                 f"not a readable OFF: face line '{b' '.join(row)[:40].decode('latin-1')}'", EXPORT_AGAIN
             )
 
-    import trimesh  # slow to import: only when needed
-
-    clean = b"OFF\n%d %d 0\n" % (n_vertices, n_faces) + b"\n".join(
-        b" ".join(row) for row in rows[: n_vertices + n_faces]
-    )
-    mesh = trimesh.load_mesh(io.BytesIO(clean), file_type="off", process=False)
-    return np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
+    vertices = to_floats([number for row in rows[:n_vertices] for number in row], "vertex").reshape(-1, 3)
+    polygons = rows[n_vertices : n_vertices + n_faces]
+    corners = np.array([int(row[0]) for row in polygons], dtype=np.int64)
+    flat = to_ints([index for row in polygons for index in row[1 : int(row[0]) + 1]], "face")
+    return vertices, triangulate(corners, flat)

@@ -219,7 +219,7 @@ def parse(data: bytes) -> tuple[Floats, Ints]:
     if polygons is None:
         raise ArtifactError("the PLY has no faces, only points", "export a surface, not a point cloud")
     lengths, flat = polygons
-    if np.asarray(flat).dtype.kind == "f" and not np.array_equal(flat, np.rint(flat)):
+    if np.asarray(flat).dtype.kind == "f" and not np.all((np.abs(flat) < 2**53) & (flat == np.rint(flat))):
         raise ArtifactError("face indices are not whole numbers", EXPORT_AGAIN)
     return vertices, triangulate(np.asarray(lengths, dtype=np.int64), np.asarray(flat).astype(np.int64))
 
