@@ -155,6 +155,17 @@ def test_outlines_in_the_plane(run: SmallRun, topology: str) -> None:
     assert "the grey diagonal means unchanged" in html
 
 
+@pytest.mark.parametrize("topology", ["tube", "cone", "closed"])
+def test_surfaces_that_close_around(run: SmallRun, topology: str) -> None:
+    n_1, n_2 = run.model.grid
+    axes = np.meshgrid(np.arange(n_1) / n_1, np.linspace(0, 1, n_2), indexing="ij")
+    u = np.tile(np.stack(axes, axis=-1).reshape(-1, 2), (len(run.model.ids), 1, 1))
+    correspondence = dataclasses.replace(run.correspondence, topology=topology, parameters=(u + [0.4, 0]) % [1.0, 2.0])
+    model = dataclasses.replace(run.model, topology=topology)
+    html = build_report(**{**run.arguments(), "model": model, "correspondence": correspondence})
+    assert html.count("<span>1.00 to 1.00</span>") == len(run.model.ids)  # no jump at the seam
+
+
 @pytest.mark.slow
 def test_size_of_a_report_of_ordinary_size() -> None:
     ids = tuple(f"P{i:02d}" for i in range(12))
