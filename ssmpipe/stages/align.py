@@ -20,14 +20,23 @@ class Config(StageConfig):
     """Options of align."""
 
     reference: Annotated[
-        str, Field(description="Shape to align to: `medoid` (the most central one), a shape id, or a mesh file in the aligned frame.")
+        str,
+        Field(
+            description="Shape to align to: `medoid` (the most central one), a shape id, or a mesh file in the aligned frame."
+        ),
     ] = "medoid"
     start_margin: Annotated[
         float,
-        Field(ge=0, lt=1, description="Another start must beat the shape's own pose by this share of the distance to replace it [-]."),
+        Field(
+            ge=0,
+            lt=1,
+            description="Another start must beat the shape's own pose by this share of the distance to replace it [-].",
+        ),
     ] = 0.1
     n_points: Annotated[int, Field(ge=200, description="Points per surface that are matched [count].")] = 5000
-    check_mirror: Annotated[bool, Field(description="Warn when the mirror image fits clearly better (a wrong side label).")] = True
+    check_mirror: Annotated[
+        bool, Field(description="Warn when the mirror image fits clearly better (a wrong side label).")
+    ] = True
 
 
 def prepare(inputs: dict[str, dict[str, Any]], *, cfg: Config, ctx: Context) -> dict[str, Any]:
@@ -36,7 +45,8 @@ def prepare(inputs: dict[str, dict[str, Any]], *, cfg: Config, ctx: Context) -> 
     if cfg.reference != "medoid" and cfg.reference not in meshes:
         some = ", ".join(list(meshes)[:5]) + (", ..." if len(meshes) > 5 else "")
         raise ConfigError(
-            f"align.reference: there is no shape '{cfg.reference}'; the cohort has {some}", "use one of these ids, medoid, or a file"
+            f"align.reference: there is no shape '{cfg.reference}'; the cohort has {some}",
+            "use one of these ids, medoid, or a file",
         )
     chosen = medoid(meshes) if cfg.reference == "medoid" else cfg.reference
     ctx.metric("reference", chosen)
@@ -57,11 +67,14 @@ def run(
     result = align(mesh, reference, margin=cfg.start_margin, n_points=cfg.n_points)
     aligned = move(mesh, result.matrix)
     ctx.metric("rms_mm", surface_deviation(aligned, reference, n_samples=5000).rms)
+    ctx.metric("cost_mm", result.cost)
     ctx.metric("turned_deg", rotation_angle(result.matrix))
     ctx.metric("start", result.start)
     ctx.metric("n_iterations", result.n_iterations)
     if not result.converged:
-        ctx.warn(f"alignment stopped after {result.n_iterations} iterations before it settled; check the overlay in the report")
+        ctx.warn(
+            f"alignment stopped after {result.n_iterations} iterations before it settled; check the overlay in the report"
+        )
     if result.start != "identity":
         ctx.warn(
             f"the pose given by orient was replaced (start {result.start}: {result.cost:.2f} mm instead of "
@@ -69,10 +82,11 @@ def run(
         )
     if cfg.check_mirror:
         better, mirrored = fits_better_mirrored(mesh, reference, result)
-        ctx.metric("mirrored_rms_ratio", mirrored / result.cost if result.cost > 0 else 1.0)
+        ctx.metric("mirrored_cost_mm", mirrored)
         if better:
             ctx.warn(
-                f"the shape fits better mirrored ({mirrored:.2f} mm instead of {result.cost:.2f} mm); wrong side label in the cohort table?"
+                f"the shape fits better mirrored ({mirrored:.2f} mm instead of {result.cost:.2f} mm): wrong side label? "
+                "look at the side column of the cohort table"
             )
     return {"mesh": aligned, "landmarks": marks.transformed(result.matrix), "transform": result.matrix @ transform}
 

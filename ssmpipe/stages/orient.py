@@ -8,8 +8,8 @@ import numpy as np
 from pydantic import Field
 
 from ssmpipe.contract import Context, Landmarks, Port, ShapeInfo, Stage, StageConfig
-from ssmpipe.core.align.frames import femur_distal_frame, landmark_frame, principal_frame
-from ssmpipe.core.align.rigid import homogeneous, move, reflection, rotation_angle
+from ssmpipe.core.align.frames import femur_distal_frame, landmark_frame, place_axes, principal_frame
+from ssmpipe.core.align.rigid import move, reflection
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.errors import LandmarkError
 from ssmpipe.core.mesh.trimesh import TriMesh
@@ -48,21 +48,21 @@ def run(
     source = "none"
     if cfg.frame != "none":
         placed = move(mesh, matrix)
-        frame = femur_distal_frame(placed) if cfg.frame == "femur-distal" else principal_frame(placed)
-        rigid, source = frame.matrix, "geometry"
-        ctx.metric("width_mm", frame.width)
-        if cfg.frame == "femur-distal":
-            axes = _axes_from_landmarks(marks.transformed(matrix))
-            if axes is not None:
-                turn = homogeneous(axes @ rigid[:3, :3].T, np.zeros(3))
-                ctx.metric("landmarks_against_geometry_deg", rotation_angle(turn))
-                rigid, source = turn @ rigid, "landmarks"
-            if frame.overhang < 0:
+        axes = _axes_from_landmarks(marks.transformed(matrix)) if cfg.frame == "femur-distal" else None
+        if cfg.frame == "principal":
+            frame, source = principal_frame(placed), "geometry"
+        elif axes is not None:
+            frame, source = place_axes(placed, axes), "landmarks"
+        else:
+            frame, source = femur_distal_frame(placed), "geometry"
+            ctx.metric("overhang", frame.overhang)
+            if frame.overhang < 0.1:
                 ctx.warn(
                     "front and back of the condyles could not be told apart clearly; check the picture, or assign the roles "
                     "lateral, medial and proximal to landmarks"
                 )
-        matrix = rigid @ matrix
+        ctx.metric("width_mm", frame.width)
+        matrix = frame.matrix @ matrix
     ctx.metric("mirrored", mirrored)
     ctx.metric("frame_from", source)
     return {"mesh": move(mesh, matrix), "landmarks": marks.transformed(matrix), "transform": matrix @ transform}

@@ -31,16 +31,23 @@ class Config(StageConfig):
 
     corner_angles_deg: Annotated[
         tuple[float, float, float, float],
-        Field(description="Places of the four corners around the rim's centroid, from the first to the second corner axis [deg]."),
+        Field(
+            description="Places of the four corners around the rim's centroid, from the first to the second corner axis [deg]."
+        ),
     ] = (45.0, 135.0, 225.0, 315.0)
     corner_axes: Annotated[
         Literal["frame", "rim"],
-        Field(description="Axes in which the angles count: x and y of the aligned frame, or the principal axes of the rim."),
+        Field(
+            description="Axes in which the angles count: x and y of the aligned frame, or the principal axes of the rim."
+        ),
     ] = "frame"
     weighting: Annotated[
-        Literal["mean-value", "harmonic", "uniform"], Field(description="Weights of the first map; only harmonic may fold.")
+        Literal["mean-value", "harmonic", "uniform"],
+        Field(description="Weights of the first map; only harmonic may fold."),
     ] = "mean-value"
-    eta: Annotated[float, Field(ge=0, le=1, description="Exponent of the neighbour's stretch in the relaxation [-].")] = 0.5
+    eta: Annotated[
+        float, Field(ge=0, le=1, description="Exponent of the neighbour's stretch in the relaxation [-].")
+    ] = 0.5
     max_iterations: Annotated[int, Field(ge=0, description="Rounds of stretch relaxation at most [count].")] = 50
 
 
@@ -50,7 +57,11 @@ def run(mesh: TriMesh, landmarks: Landmarks | None = None, *, cfg: Config, ctx: 
     with_corners, corners, away = insert_corners(mesh, wanted)
     disk = split_chords(with_corners)
     result = parameterize_square(
-        disk, order_corners(rim_of(disk), corners), weighting=cfg.weighting, eta=cfg.eta, max_iterations=cfg.max_iterations
+        disk,
+        order_corners(rim_of(disk), corners),
+        weighting=cfg.weighting,
+        eta=cfg.eta,
+        max_iterations=cfg.max_iterations,
     )
     stretch = result.history["stretch"]
     ctx.metric("stretch_before", float(stretch[0]))

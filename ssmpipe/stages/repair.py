@@ -18,10 +18,13 @@ class Config(StageConfig):
 
     components: Annotated[
         Literal["one", "largest"],
-        Field(description="What to do when several components are larger than debris: refuse the scan, or keep the largest."),
+        Field(
+            description="What to do when several components are larger than debris: refuse the scan, or keep the largest."
+        ),
     ] = "one"
     debris_fraction: Annotated[
-        float, Field(ge=0, lt=0.5, description="A component with less than this share of the area is dropped as debris [-].")
+        float,
+        Field(ge=0, lt=0.5, description="A component with less than this share of the area is dropped as debris [-]."),
     ] = 0.02
     max_openings: Annotated[int, Field(ge=0, description="Number of boundary loops that a scan may have [count].")] = 1
 

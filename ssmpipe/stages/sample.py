@@ -17,7 +17,8 @@ class Config(StageConfig):
     """Options of sample."""
 
     grid: Annotated[
-        tuple[Annotated[int, Field(ge=2)], Annotated[int, Field(ge=2)]], Field(description="Grid points in u and v [count].")
+        tuple[Annotated[int, Field(ge=2)], Annotated[int, Field(ge=2)]],
+        Field(description="Grid points in u and v [count]."),
     ] = (200, 200)
 
 

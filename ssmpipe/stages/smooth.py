@@ -21,7 +21,9 @@ class Config(StageConfig):
         int, Field(ge=0, description="Pairs of Taubin steps; a finer mesh needs more for the same effect [count].")
     ] = 10
     lam: Annotated[float, Field(gt=0, lt=1, description="Size of the shrinking step [-].")] = 0.5
-    mu: Annotated[float, Field(lt=0, gt=-1.2, description="Size of the growing step, larger than lam in magnitude [-].")] = -0.53
+    mu: Annotated[
+        float, Field(lt=0, gt=-1.2, description="Size of the growing step, larger than lam in magnitude [-].")
+    ] = -0.53
 
     @model_validator(mode="after")
     def _grows_back(self) -> Config:

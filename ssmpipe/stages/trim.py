@@ -21,17 +21,35 @@ class Config(StageConfig):
 
     fraction: Annotated[
         float,
-        Field(gt=0, description="Height of the cut above the lowest point, in widths of what lies below the cut along `across` [-]."),
+        Field(
+            gt=0,
+            description="Height of the cut above the lowest point, in widths of what lies below the cut along `across` [-].",
+        ),
     ] = 1.1
     distance_mm: Annotated[
         float | None, Field(gt=0, description="Height of the cut above the lowest point, instead of `fraction` [mm].")
     ] = None
-    offset_mm: Annotated[float, Field(description="Shift of the cut along `up` from the landmark with role trim [mm].")] = 0.0
-    up: Annotated[Vector, Field(description="Direction towards what is cut away, in the current frame [-].")] = (0.0, 0.0, 1.0)
-    across: Annotated[Vector, Field(description="Direction in which the width is measured, in the current frame [-].")] = (1.0, 0.0, 0.0)
-    plane_point: Annotated[Vector | None, Field(description="A point of the cutting plane, in the current frame [mm].")] = None
+    offset_mm: Annotated[
+        float, Field(description="Shift of the cut along `up` from the landmark with role trim [mm].")
+    ] = 0.0
+    up: Annotated[Vector, Field(description="Direction towards what is cut away, in the current frame [-].")] = (
+        0.0,
+        0.0,
+        1.0,
+    )
+    across: Annotated[
+        Vector, Field(description="Direction in which the width is measured, in the current frame [-].")
+    ] = (1.0, 0.0, 0.0)
+    plane_point: Annotated[
+        Vector | None, Field(description="A point of the cutting plane, in the current frame [mm].")
+    ] = None
     snap: Annotated[
-        float, Field(ge=0, lt=0.5, description="Vertices nearer to the plane than this share of the mean edge are moved onto it [-].")
+        float,
+        Field(
+            ge=0,
+            lt=0.5,
+            description="Vertices nearer to the plane than this share of the mean edge are moved onto it [-].",
+        ),
     ] = 0.1
 
     @model_validator(mode="after")

@@ -12,7 +12,9 @@ from ssmpipe.core.mesh.trimesh import TriMesh
 def random_motion(rng: np.random.Generator, shift: float = 50.0) -> np.ndarray:
     """Return a proper rigid motion (4, 4)."""
     quaternion = rng.normal(size=4)
-    return homogeneous(Rotation.from_quat(quaternion / np.linalg.norm(quaternion)).as_matrix(), shift * rng.normal(size=3))
+    return homogeneous(
+        Rotation.from_quat(quaternion / np.linalg.norm(quaternion)).as_matrix(), shift * rng.normal(size=3)
+    )
 
 
 def relabeled(mesh: TriMesh, rng: np.random.Generator) -> tuple[TriMesh, np.ndarray]:

@@ -25,6 +25,8 @@ class Frame:
         Moves points into the frame; a proper rigid motion.
     width : float
         Medio-lateral width of the condyles [mm]; the square root of the smallest variance for principal axes.
+    tangent : float
+        Length of the straight side of the condyles' outline over the width [-]; about one half for a femur.
     overhang : float
         How far the condyles reach behind the shaft axis over how far they reach before it, minus one [-]; positive when the
         two signs of "posterior" agree. Zero for principal axes.
@@ -32,6 +34,7 @@ class Frame:
 
     matrix: Floats
     width: float
+    tangent: float = 0.0
     overhang: float = 0.0
 
 
@@ -84,7 +87,7 @@ def femur_distal_frame(mesh: TriMesh, n_rounds: int = 6) -> Frame:
     Raises
     ------
     GeometryError
-        If no shaft and condyles can be told apart.
+        If the piece has too little shaft, no fossa between two condyles, or no shaft thinner than the condyles.
     """
     z = _shaft_direction(mesh)
     # independent of where the mesh lies: work about its own centroid
@@ -92,33 +95,54 @@ def femur_distal_frame(mesh: TriMesh, n_rounds: int = 6) -> Frame:
     local = TriMesh(mesh.vertices - origin, mesh.faces)
     points = local.vertices[np.unique(local.faces)]
     line = np.zeros(3)
-    overhang, x, width = 0.0, np.zeros(3), 0.0
+    total, tangent, overhang, width, y = 0.0, 0.0, 0.0, 0.0, np.zeros(3)
+    condyles, areas = points, np.zeros(0)
     for _ in range(n_rounds):
         lowest = float((points @ z).min())
         condyles = _below(points, z, lowest, 0.5)
-        x, y, overhang = _posterior_tangent(condyles, z, line)
-        width = float(np.ptp(condyles @ x))
+        x, y, tangent, overhang = _posterior_tangent(condyles, z, line)
+        width, total = float(np.ptp(condyles @ x)), float(np.ptp(points @ z))
+        if total < 1.05 * width:
+            raise GeometryError(
+                f"the piece is {total / width:.2f} condylar widths high, too little shaft to orient a femur by",
+                "scan more of the shaft (1.2 widths or more), or assign the roles lateral, medial and proximal to landmarks",
+            )
         top = min(lowest + 1.6 * width, float((points @ z).max()) - 0.05 * width)
         bottom = min(lowest + 1.0 * width, top - 0.2 * width)
-        if bottom < lowest + 0.4 * width:
-            raise GeometryError(
-                f"the piece reaches only {(float(np.ptp(points @ z))) / width:.2f} condylar widths up, too little shaft to orient it",
-                "scan more of the shaft (1.2 widths), or assign the roles lateral, medial and proximal to landmarks",
-            )
         areas, centroids = section_areas(local, z, np.linspace(bottom, top, 13))
         seen = areas > 0
         if seen.sum() < 5:
-            raise GeometryError("no shaft found above the condyles", "check that the scan is a femur, or use frame: principal")
+            raise GeometryError(
+                "no shaft found above the condyles", "check that the scan is a femur, or use frame: principal"
+            )
         line = centroids[seen].mean(axis=0)
         direction = np.linalg.svd(centroids[seen] - line)[2][0]
         z = direction if direction @ z > 0 else -direction
+    lowest = float((points @ z).min())
+    thick = float(section_areas(local, z, lowest + width * np.linspace(0.1, 0.5, 9))[0].max())
+    if tangent < 0.3 or float(np.median(areas[areas > 0])) > 0.7 * thick:
+        raise GeometryError(
+            f"no distal femur recognized: the straight side over the fossa is {tangent:.2f} widths long (expected 0.5), the shaft has "
+            f"{100 * float(np.median(areas[areas > 0])) / thick:.0f} % of the condyles' section (expected 20 to 50 %)",
+            "check that the scan shows one distal femur, or assign the roles lateral, medial and proximal to landmarks",
+        )
     x = np.cross(y, z)
     y = np.cross(z, x / np.linalg.norm(x))
-    axes = np.array([np.cross(y, z), y, z])
-    inside = condyles @ axes.T
-    middle = 0.5 * (inside.min(axis=0) + inside.max(axis=0))
-    middle[2] = inside[:, 2].min()
-    return Frame(homogeneous(axes, -axes @ origin - middle), width, overhang)
+    placed = place_axes(mesh, np.array([np.cross(y, z), y, z]))
+    return Frame(placed.matrix, placed.width, tangent, overhang)
+
+
+def place_axes(mesh: TriMesh, axes: Floats) -> Frame:
+    """Return the frame with the given axes (rows) whose origin is below the middle of the lowest part.
+
+    The lowest part is what lies below half of its own width; the origin has the height of the lowest point.
+    """
+    points = mesh.vertices[np.unique(mesh.faces)] @ axes.T
+    z = np.array([0.0, 0.0, 1.0])
+    lowest_part = _below(points, z, float(points[:, 2].min()), 0.5)
+    middle = 0.5 * (lowest_part.min(axis=0) + lowest_part.max(axis=0))
+    middle[2] = lowest_part[:, 2].min()
+    return Frame(homogeneous(axes, -middle), float(np.ptp(lowest_part[:, 0])))
 
 
 def landmark_frame(lateral: Floats, medial: Floats, proximal: Floats) -> Floats:
@@ -174,8 +198,8 @@ def _perpendicular(z: Floats) -> Floats:
     return np.array([a, np.cross(z, a)])
 
 
-def _posterior_tangent(condyles: Floats, z: Floats, line: Floats) -> tuple[Floats, Floats, float]:
-    """Return x, y and the overhang from the longest side of the condyles' convex outline seen along z."""
+def _posterior_tangent(condyles: Floats, z: Floats, line: Floats) -> tuple[Floats, Floats, float, float]:
+    """Return x, y, the side's length over the width, and the overhang, from the longest side of the condyles' convex outline seen along z."""
     basis = _perpendicular(z)
     flat = condyles @ basis.T
     hull = flat[ConvexHull(flat).vertices]  # counter-clockwise
@@ -187,7 +211,8 @@ def _posterior_tangent(condyles: Floats, z: Floats, line: Floats) -> tuple[Float
     x = np.cross(y, z)
     behind = float((hull[k] - basis @ line) @ outward)
     before = float(-((hull - basis @ line) @ outward).min())
-    return x, y, behind / before - 1.0 if before > 0 else np.inf
+    length = float(np.linalg.norm(sides[k])) / float(np.ptp(condyles @ x))
+    return x, y, length, behind / before - 1.0 if before > 0 else np.inf
 
 
 def _shaft_direction(mesh: TriMesh) -> Floats:

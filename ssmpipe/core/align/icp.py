@@ -71,7 +71,9 @@ class IcpResult:
     identity_cost: float
 
 
-def refine(source: PointSurface, target: PointSurface, start: Floats, n_iterations: int = 60) -> tuple[Floats, int, bool]:
+def refine(
+    source: PointSurface, target: PointSurface, start: Floats, n_iterations: int = 60
+) -> tuple[Floats, int, bool]:
     """Improve a rigid motion by symmetric point-to-plane ICP (Chen and Medioni 1992).
 
     Every point of either surface is paired with the nearest point of the other; the linearized motion minimizes the
@@ -137,7 +139,9 @@ def axis_starts(source: TriMesh, target: TriMesh) -> list[Floats]:
     return [homogeneous(r, b - r @ a) for r in rotations]
 
 
-def align(source: TriMesh, target: TriMesh, *, margin: float = 0.1, n_refined: int = 4, n_points: int = 5000) -> IcpResult:
+def align(
+    source: TriMesh, target: TriMesh, *, margin: float = 0.1, n_refined: int = 4, n_points: int = 5000
+) -> IcpResult:
     """Move a surface rigidly onto another, whatever its pose.
 
     Starts: the pose as it is, and 24 matches of the principal axes. A short run on few points screens them; the best
@@ -160,7 +164,8 @@ def align(source: TriMesh, target: TriMesh, *, margin: float = 0.1, n_refined: i
         The determinant of the rotation is +1 always.
     """
     few, some, all_points = (
-        (PointSurface.of(source, n), PointSurface.of(target, n)) for n in (min(400, n_points), min(1200, n_points), n_points)
+        (PointSurface.of(source, n), PointSurface.of(target, n))
+        for n in (min(400, n_points), min(1200, n_points), n_points)
     )
     unmoved = np.eye(4)
     matrix, n_iterations, converged = refine(*all_points, unmoved)
@@ -174,11 +179,15 @@ def align(source: TriMesh, target: TriMesh, *, margin: float = 0.1, n_refined: i
         matrix, n_iterations, converged = refine(*all_points, found)
         other = cost(*all_points, matrix)
         if other < (1.0 - margin) * identity_cost:
-            best = IcpResult(matrix, other, "screened" if k == 0 else f"axes-{k}", n_iterations, converged, identity_cost)
+            best = IcpResult(
+                matrix, other, "screened" if k == 0 else f"axes-{k}", n_iterations, converged, identity_cost
+            )
     return best
 
 
-def fits_better_mirrored(source: TriMesh, target: TriMesh, result: IcpResult, *, margin: float = 0.05) -> tuple[bool, float]:
+def fits_better_mirrored(
+    source: TriMesh, target: TriMesh, result: IcpResult, *, margin: float = 0.05
+) -> tuple[bool, float]:
     """Say whether the mirror image of an aligned shape fits clearly better, and its cost [mm].
 
     A sign of a wrong left/right label.

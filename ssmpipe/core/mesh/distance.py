@@ -39,7 +39,11 @@ def point_to_mesh(points: Floats, mesh: TriMesh) -> tuple[Floats, Ints, Floats]:
     query = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
     squared, face, nearest = igl.point_mesh_squared_distance(query, mesh.vertices, mesh.faces)
     face = np.asarray(face, dtype=np.int64).ravel()
-    return np.sqrt(np.maximum(squared, 0.0)).ravel(), face, barycentric_coordinates(nearest, mesh.vertices[mesh.faces[face]])
+    return (
+        np.sqrt(np.maximum(squared, 0.0)).ravel(),
+        face,
+        barycentric_coordinates(nearest, mesh.vertices[mesh.faces[face]]),
+    )
 
 
 def barycentric_coordinates(points: Floats, triangles: Floats) -> Floats:
@@ -139,4 +143,6 @@ def surface_deviation(a: TriMesh, b: TriMesh, n_samples: int = 20000, seed: int 
         extreme.append(float(distance.max()))
     both = np.concatenate(spread)
     rms = [float(np.sqrt(np.mean(d**2))) for d in (both, *spread)]
-    return SurfaceDeviation(rms[0], max(extreme), float(np.percentile(both, 95)), rms[1], rms[2], extreme[0], extreme[1])
+    return SurfaceDeviation(
+        rms[0], max(extreme), float(np.percentile(both, 95)), rms[1], rms[2], extreme[0], extreme[1]
+    )

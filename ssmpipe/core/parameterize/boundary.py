@@ -155,7 +155,8 @@ def order_corners(rim: Ints, corners: Ints) -> Ints:
     ordered = corners[np.argsort(after_first)]
     if ordered[2] != corners[2]:
         raise GeometryError(
-            "the corners do not follow each other around the boundary", "name them corner_1 to corner_4 in the order along the rim"
+            "the corners do not follow each other around the boundary",
+            "name them corner_1 to corner_4 in the order along the rim",
         )
     return ordered
 

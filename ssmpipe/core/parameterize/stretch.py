@@ -70,7 +70,12 @@ def _refuse_folds(mesh: TriMesh, uv: Floats, weighting: Weighting) -> None:
     if len(bad) == 0:
         return
     x, y, z = mesh.vertices[mesh.faces[bad[0]]].mean(axis=0)
-    remedy = "smooth or decimate the mesh first, it has slivers" if weighting == "mean-value" else "use weighting: mean-value"
+    remedy = (
+        "smooth or decimate the mesh first, it has slivers"
+        if weighting == "mean-value"
+        else "use weighting: mean-value"
+    )
     raise FoldoverError(
-        f"{len(bad)} of {mesh.n_faces} triangles are turned over in the square, the first at ({x:.1f}, {y:.1f}, {z:.1f}) mm", remedy
+        f"{len(bad)} of {mesh.n_faces} triangles are turned over in the square, the first at ({x:.1f}, {y:.1f}, {z:.1f}) mm",
+        remedy,
     )

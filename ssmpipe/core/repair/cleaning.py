@@ -47,7 +47,11 @@ class Cleaned:
 
 
 def clean(
-    mesh: TriMesh, *, debris_fraction: float = 0.02, components: Literal["one", "largest"] = "one", merge_tolerance: float = 1e-7
+    mesh: TriMesh,
+    *,
+    debris_fraction: float = 0.02,
+    components: Literal["one", "largest"] = "one",
+    merge_tolerance: float = 1e-7,
 ) -> Cleaned:
     """Make one oriented manifold surface of a raw scan.
 
@@ -75,7 +79,9 @@ def clean(
     used = np.unique(faces)
     changes["unused_vertices"] = len(vertices) - len(used)
 
-    representative = coincident_vertices(vertices, merge_tolerance * float(np.linalg.norm(np.ptp(vertices[used], axis=0))), used)
+    representative = coincident_vertices(
+        vertices, merge_tolerance * float(np.linalg.norm(np.ptp(vertices[used], axis=0))), used
+    )
     merged = representative[faces]
     changes["merged_vertices"] = len(used) - len(np.unique(merged))
     faces = merged
@@ -101,7 +107,9 @@ def clean(
     if len(large) == 0:
         large = np.array([int(np.argmax(share))])
     if len(large) > 1 and components == "one":
-        raise TopologyError(_describe_components(split, label, share, large), "keep the largest with components: largest")
+        raise TopologyError(
+            _describe_components(split, label, share, large), "keep the largest with components: largest"
+        )
     keep = int(large[np.argmax(share[large])])
     changes["dropped_components"] = len(area) - 1
     changes["dropped_faces"] = int((label != keep).sum())
@@ -204,7 +212,9 @@ def separate_fans(mesh: TriMesh) -> tuple[TriMesh, int]:
     start = np.concatenate([[0], np.cumsum(edges.n_faces)])
     inner = np.flatnonzero(edges.n_faces == 2)
     pairs = [np.column_stack([order[start[inner]], order[start[inner] + 1]])]
-    pairs += [_pair_by_angle(mesh, edges, int(e), order[start[e] : start[e + 1]]) for e in np.flatnonzero(edges.n_faces > 2)]
+    pairs += [
+        _pair_by_angle(mesh, edges, int(e), order[start[e] : start[e + 1]]) for e in np.flatnonzero(edges.n_faces > 2)
+    ]
     half_a, half_b = np.vstack(pairs).T
     # half-edge 3 f + k runs from corner k to corner k + 1 of face f
     tail = lambda h: h  # noqa: E731

@@ -40,7 +40,9 @@ def cut_by_plane(mesh: TriMesh, point: Floats, normal: Floats, snap: float = 0.1
     used = height[np.unique(mesh.faces)]
     if used.max() <= 0 or used.min() >= 0:
         side, gap = ("behind", -used.max()) if used.max() <= 0 else ("in front of", used.min())
-        raise GeometryError(f"the plane misses the mesh: all of it lies {gap:.1f} mm or more {side} the plane", "move the plane")
+        raise GeometryError(
+            f"the plane misses the mesh: all of it lies {gap:.1f} mm or more {side} the plane", "move the plane"
+        )
     height = np.where(np.abs(height) < snap * mean_edge_length(mesh), 0.0, height)
     vertices = mesh.vertices - np.outer(np.where(height == 0.0, (mesh.vertices - point) @ direction, 0.0), direction)
 
@@ -130,11 +132,15 @@ def trim(mesh: TriMesh, point: Floats, normal: Floats, *, snap: float = 0.1) -> 
         )
     chi = euler_characteristic(kept.faces)
     if chi != 1:
-        raise TopologyError(f"the trimmed part is not a disk: its Euler characteristic is {chi}, must be 1", "run repair first")
+        raise TopologyError(
+            f"the trimmed part is not a disk: its Euler characteristic is {chi}, must be 1", "run repair first"
+        )
     return kept
 
 
-def height_by_width(vertices: Floats, up: Floats, across: Floats, fraction: float, n_iterations: int = 100) -> tuple[float, float]:
+def height_by_width(
+    vertices: Floats, up: Floats, across: Floats, fraction: float, n_iterations: int = 100
+) -> tuple[float, float]:
     """Find the height of a cut that lies ``fraction`` widths above the lowest point, of the part below the cut itself.
 
     The width is the extent along ``across`` of what lies below the cut: what comes above it (the head of a femur) does

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from ssmpipe.core.align.rigid import move
-from ssmpipe.core.mesh.distance import barycentric_coordinates, interpolate, point_to_mesh, sample_surface, surface_deviation
+from ssmpipe.core.mesh.distance import (
+    barycentric_coordinates,
+    interpolate,
+    point_to_mesh,
+    sample_surface,
+    surface_deviation,
+)
 from ssmpipe.core.mesh.operators import surface_centroid, surface_covariance, vertex_areas
 from ssmpipe.core.mesh.primitives import flat_square, sphere, star_shape
 from ssmpipe.core.mesh.sections import section_areas

@@ -1,0 +1,255 @@
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from ssmpipe.contract import Context, Landmarks, ShapeInfo
+from ssmpipe.core.align.rigid import apply, move, reflection, rotation_angle
+from ssmpipe.core.errors import ConfigError, LandmarkError, TopologyError
+from ssmpipe.core.mesh.operators import volume
+from ssmpipe.core.mesh.primitives import sphere, star_shape, torus, tube
+from ssmpipe.core.mesh.topology import boundary_loops, euler_characteristic
+from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.stages import align, decimate, orient, parameterize, repair, sample, smooth, trim
+from tests.support.femora import DATA, femur, landmark, needs_femora, needs_vertebrae, read, sides
+from tests.support.meshes import joined, random_motion
+
+CHAIN = (repair, orient, trim, smooth, decimate, align, parameterize, sample)
+
+
+def go(stage, **inputs):
+    options = inputs.pop("options", {})
+    ctx = Context("shape", np.random.default_rng(0), logging.getLogger("test"))
+    outputs = stage.run(**inputs, cfg=stage.Config(**options), ctx=ctx)
+    assert set(outputs) == {port.slot for port in stage.STAGE.outputs}
+    return outputs, ctx
+
+
+@pytest.mark.parametrize("stage", CHAIN, ids=lambda s: s.STAGE.name)
+def test_options_are_described(stage):
+    assert stage.__doc__
+    for name, field in stage.Config.model_fields.items():
+        assert field.description, name
+        assert field.description.endswith("."), name
+
+
+class TestRepair:
+    def test_metrics_tell_what_was_found(self):
+        speck = sphere(0.5, 1)
+        scan = joined(star_shape(3), TriMesh(speck.vertices + [99.0, 0, 0], speck.faces))
+        outputs, ctx = go(repair, mesh=scan)
+        assert ctx.metrics["dropped_components"] == 1
+        assert ctx.metrics["genus"] == ctx.metrics["n_loops"] == 0
+        assert ctx.metrics["n_faces"] == outputs["mesh"].n_faces == star_shape(3).n_faces
+        assert not ctx.warnings
+
+    def test_refusals_name_their_options(self):
+        two = joined(sphere(10.0), TriMesh(sphere(9.0).vertices + [30.0, 0, 0], sphere().faces))
+        with pytest.raises(TopologyError, match=r"2 components of 55\.\d %, 44\.\d %.*components: largest"):
+            go(repair, mesh=two)
+        kept, ctx = go(repair, mesh=two, options={"components": "largest"})
+        assert volume(kept["mesh"]) == pytest.approx(volume(sphere(10.0)))
+        assert "44.8 % of the area were dropped" in ctx.warnings[0]
+        with pytest.raises(TopologyError, match=r"2 openings.*at most 1 expected.*max_openings"):
+            go(repair, mesh=tube())
+        with pytest.raises(TopologyError, match=r"1 opening .*a closed surface is expected"):
+            go(
+                repair,
+                mesh=go(trim, mesh=star_shape(3), options={"distance_mm": 20.0})[0]["mesh"],
+                options={"max_openings": 0},
+            )
+        with pytest.raises(TopologyError, match=r"1 handle"):
+            go(repair, mesh=torus())
+
+    @needs_vertebrae
+    def test_vertebrae_are_refused(self):
+        files = sorted((DATA / "vertebra_l1" / "scans").glob("*.ply"))
+        assert len(files) == 3
+        for path in files:
+            with pytest.raises(TopologyError, match=r"1 handle \(genus 1\), it must have none; a loop of 3\d|4\d"):
+                go(repair, mesh=read(path))
+
+
+class TestOrient:
+    def test_mirroring_follows_the_side(self):
+        lump = star_shape(3)
+        marks = Landmarks({"tip": lump.vertices[5]})
+        for side, mirror, expected in (("L", "left", -1), ("R", "left", 1), ("R", "right", -1), ("L", "none", 1)):
+            outputs, ctx = go(
+                orient,
+                mesh=lump,
+                landmarks=marks,
+                transform=2.0 * np.eye(4) / np.array([1, 1, 1, 2.0]),
+                info=ShapeInfo("a", side),
+                options={"mirror": mirror, "frame": "principal"},
+            )
+            matrix = outputs["transform"]
+            assert np.linalg.det(matrix[:3, :3]) == pytest.approx(8 * expected)
+            assert outputs["landmarks"].points["tip"] == pytest.approx(outputs["mesh"].vertices[5])
+            assert apply(matrix, lump.vertices[5:6] / 2)[0] == pytest.approx(outputs["mesh"].vertices[5])
+            assert volume(outputs["mesh"]) == pytest.approx(volume(lump))
+            assert not ctx.warnings
+
+    def test_unknown_side_warns_and_keeps(self):
+        outputs, ctx = go(
+            orient,
+            mesh=star_shape(2),
+            landmarks=None,
+            transform=np.eye(4),
+            info=ShapeInfo("a"),
+            options={"frame": "none"},
+        )
+        assert "side of 'a' is unknown" in ctx.warnings[0]
+        assert outputs["transform"] == pytest.approx(np.eye(4))
+
+    def test_incomplete_roles_are_refused(self):
+        marks = Landmarks({"E": np.zeros(3)}, {"lateral": "E"})
+        with pytest.raises(LandmarkError, match=r"missing: medial, proximal"):
+            go(orient, mesh=star_shape(2), landmarks=marks, transform=np.eye(4), info=ShapeInfo("a", "R"))
+
+    @needs_femora
+    def test_landmarks_refine_the_frame_and_left_equals_mirrored_right(self):
+        shape_id = "z009_Femur_R"
+        bone = femur(shape_id)
+        points = {code: landmark(shape_id, code) for code in ("LEC", "MEC", "SFH")}
+        roles = {"lateral": "LEC", "medial": "MEC", "proximal": "SFH"}
+        by_landmarks, ctx = go(
+            orient, mesh=bone, landmarks=Landmarks(points, roles), transform=np.eye(4), info=ShapeInfo(shape_id, "R")
+        )
+        assert ctx.metrics["frame_from"] == "landmarks"
+        moved = by_landmarks["landmarks"].points
+        assert (moved["LEC"] - moved["MEC"])[1] == pytest.approx(0.0, abs=1e-9)
+        plain, _ = go(orient, mesh=bone, landmarks=None, transform=np.eye(4), info=ShapeInfo(shape_id, "R"))
+        assert rotation_angle(by_landmarks["transform"] @ np.linalg.inv(plain["transform"])) < 12
+        pretended, _ = go(
+            orient, mesh=move(bone, reflection(2)), landmarks=None, transform=np.eye(4), info=ShapeInfo("other", "L")
+        )
+        assert pretended["mesh"].vertices == pytest.approx(plain["mesh"].vertices, abs=1e-3)
+
+
+class TestTrim:
+    def test_ways_to_say_where(self):
+        lump = star_shape(4)
+        low = lump.vertices[:, 2].min()
+        for options, marks, height in (
+            ({"distance_mm": 20.0}, None, low + 20),
+            ({"plane_point": (1.0, 2.0, 3.0)}, None, 3.0),
+            ({}, Landmarks({"trim": np.array([0, 0, 7.0])}), 7.0),
+            ({"offset_mm": -2.0}, Landmarks({"LT": np.array([0, 0, 7.0])}, {"trim": "LT"}), 5.0),
+        ):
+            outputs, ctx = go(trim, mesh=lump, landmarks=marks, options=options)
+            assert outputs["mesh"].vertices[:, 2].max() == pytest.approx(height)
+            assert ctx.metrics["height_mm"] == pytest.approx(height - low)
+            assert euler_characteristic(outputs["mesh"].faces) == 1
+            assert len(boundary_loops(outputs["mesh"].faces)) == 1
+
+    def test_contradictions_are_refused(self):
+        with pytest.raises(ValidationError, match=r"not both"):
+            trim.Config(distance_mm=3.0, plane_point=(0.0, 0.0, 1.0))
+
+
+def test_smooth_and_decimate_report_what_they_did():
+    outputs, ctx = go(smooth, mesh=star_shape(4))
+    assert abs(ctx.metrics["volume_change_percent"]) < 0.5
+    outputs, ctx = go(decimate, mesh=outputs["mesh"], options={"n_faces": 1000})
+    assert ctx.metrics["n_faces"] == outputs["mesh"].n_faces == 1000
+    assert 0 < ctx.metrics["deviation_rms_mm"] < ctx.metrics["deviation_max_mm"] < 1.5
+    _, ctx = go(decimate, mesh=outputs["mesh"])
+    assert ctx.metrics["method"] == "none"
+    with pytest.raises(ValidationError, match=r"mu must be below"):
+        smooth.Config(mu=-0.4)
+
+
+class TestAlign:
+    def prepared(self, **options):
+        ctx = Context("", np.random.default_rng(0), logging.getLogger("test"))
+        sizes = {"a": 0.9, "b": 1.0, "c": 1.2}
+        inputs = {k: {"mesh": TriMesh(s * star_shape(3).vertices, star_shape(3).faces)} for k, s in sizes.items()}
+        return align.prepare(inputs, cfg=align.Config(**options), ctx=ctx)["reference"], ctx.metrics["reference"]
+
+    def test_reference_is_the_medoid_or_an_id(self):
+        assert self.prepared()[1] == "b"
+        assert self.prepared(reference="c")[1] == "c"
+        with pytest.raises(ConfigError, match=r"there is no shape 'd'; the cohort has a, b, c"):
+            self.prepared(reference="d")
+
+    def test_pose_is_undone_and_reported(self):
+        reference, _ = self.prepared()
+        motion = random_motion(np.random.default_rng(4))
+        marks = Landmarks({"p": apply(motion, np.ones((1, 3)))[0]})
+        outputs, ctx = go(align, mesh=move(reference, motion), landmarks=marks, transform=motion, reference=reference)
+        assert outputs["transform"] == pytest.approx(np.eye(4), abs=1e-3)
+        assert outputs["landmarks"].points["p"] == pytest.approx(np.ones(3), abs=1e-2)
+        assert ctx.metrics["rms_mm"] < 1e-3
+        assert "pose given by orient was replaced" in ctx.warnings[0]
+
+    def test_wrong_side_warns(self):
+        reference, _ = self.prepared()
+        _, ctx = go(align, mesh=move(reference, reflection()), landmarks=None, transform=np.eye(4), reference=reference)
+        assert any("fits better mirrored" in w and "wrong side label?" in w for w in ctx.warnings)
+
+
+class TestParameterizeAndSample:
+    def test_from_angles_and_from_landmarks(self):
+        disk = go(trim, mesh=star_shape(4), options={"distance_mm": 60.0})[0]["mesh"]
+        outputs, ctx = go(parameterize, mesh=disk, landmarks=None)
+        assert ctx.metrics["n_flips"] == 0
+        assert ctx.metrics["stretch"] < ctx.metrics["stretch_before"]
+        uv = outputs["uv"]
+        assert len(uv) == outputs["mesh"].n_vertices
+        corners = [int(np.flatnonzero((uv == c).all(axis=1))[0]) for c in ((0, 0), (1, 0), (1, 1), (0, 1))]
+        places = outputs["mesh"].vertices[corners]
+        marks = Landmarks({f"corner_{k + 1}": p for k, p in enumerate(places)})
+        again, ctx = go(parameterize, mesh=disk, landmarks=marks)
+        assert ctx.metrics["corners_from"] == "landmarks"
+        n = disk.n_vertices
+        assert again["uv"][:n] == pytest.approx(uv[:n], abs=1e-8)
+        samples, ctx = go(sample, mesh=outputs["mesh"], uv=uv, options={"grid": (30, 20)})
+        assert samples["samples"].shape == (30, 20, 3)
+        assert samples["samples"][0, 0] == pytest.approx(places[0])
+        normals = np.cross(np.diff(samples["samples"], axis=0)[:, :-1], np.diff(samples["samples"], axis=1)[:-1])
+        outward = samples["samples"][:-1, :-1] - disk.vertices.mean(axis=0)
+        assert (np.einsum("ijk,ijk->ij", normals, outward) > 0).mean() > 0.95
+
+    def test_missing_corner_and_round_rim(self):
+        cap = go(trim, mesh=sphere(10.0), options={"distance_mm": 8.0})[0]["mesh"]
+        with pytest.raises(LandmarkError, match=r"missing: corner_2, corner_3, corner_4"):
+            go(parameterize, mesh=cap, landmarks=Landmarks({"corner_1": np.zeros(3)}))
+        _, ctx = go(parameterize, mesh=cap, landmarks=None, options={"corner_axes": "rim"})
+        assert "nearly round" in ctx.warnings[0]
+
+
+@needs_femora
+def test_chain_on_two_real_femora_left_and_right():
+    made = {}
+    for shape_id in ("z013_Femur_L", "z035_Femur_R"):
+        slots = go(repair, mesh=femur(shape_id))[0]
+        slots |= go(
+            orient,
+            mesh=slots["mesh"],
+            landmarks=Landmarks({"LEC": landmark(shape_id, "LEC")}),
+            transform=np.eye(4),
+            info=ShapeInfo(shape_id, sides()[shape_id]),
+        )[0]
+        slots |= go(trim, mesh=slots["mesh"], landmarks=slots["landmarks"])[0]
+        slots |= go(smooth, mesh=slots["mesh"])[0]
+        made[shape_id] = slots | go(decimate, mesh=slots["mesh"], options={"n_faces": 6000})[0]
+    reference = made["z035_Femur_R"]["mesh"]
+    for shape_id, slots in made.items():
+        outputs, ctx = go(
+            align, mesh=slots["mesh"], landmarks=slots["landmarks"], transform=slots["transform"], reference=reference
+        )
+        assert not ctx.warnings
+        assert ctx.metrics["start"] == "identity"
+        assert ctx.metrics["rms_mm"] < 2.5
+        assert apply(outputs["transform"], landmark(shape_id, "LEC")[None])[0] == pytest.approx(
+            outputs["landmarks"].points["LEC"]
+        )
+        assert outputs["landmarks"].points["LEC"][0] > 25
+        mapped, ctx = go(parameterize, mesh=outputs["mesh"], landmarks=outputs["landmarks"])
+        assert ctx.metrics["stretch"] < 1.5
+        assert ctx.metrics["n_flips"] == 0
+        assert go(sample, mesh=mapped["mesh"], uv=mapped["uv"])[0]["samples"].shape == (200, 200, 3)
