@@ -41,7 +41,7 @@ class _Commands(click.Group):
             from ssmpipe.runner.single import stage_command
 
             with _errors(ctx.find_root().params.get("debug", False)):
-                return stage_command(_registry().load(name))
+                return stage_command(_registry().load(name), lambda: _errors(_debug()))
         return None
 
     def resolve_command(
@@ -235,16 +235,19 @@ def run(
 
 
 def _summary(project: Project, result: Any, console: Any) -> None:
+    from ssmpipe.runner.suggest import count
+
     n_failed = sum(1 for i in result.failures if i in project.sources)
     minutes, seconds = divmod(result.seconds, 60)
     wall = f"{int(minutes)} min {seconds:.0f} s" if minutes else f"{seconds:.1f} s"
     if result.n_run == 0 and not n_failed and not result.problem:
-        console.say(f"nothing to do: {result.n_current} tasks are up to date")
+        console.say(f"nothing to do: {count(result.n_current, 'task')} up to date")
     if n_failed or result.problem:
         console.error(f"see {project.out / 'failures.json'}" if result.failures else f"stopped: {result.problem}")
     if result.report is not None:
         console.say(f"report: {result.report}")
-    console.say(f"{len(result.ok)} shapes ok, {n_failed} failed, {result.n_run} tasks run, {wall}")
+    shapes, tasks = count(len(result.ok), "shape"), count(result.n_run, "task")
+    console.say(f"{shapes} ok, {n_failed} failed, {tasks} run, {wall}")
 
 
 @main.command()

@@ -16,7 +16,7 @@ from ssmpipe.contract import Stage
 from ssmpipe.core.errors import ArtifactError, ConfigError, SsmpipeError
 from ssmpipe.runner.document import Document, Loc, parse_value, read_document
 from ssmpipe.runner.fingerprint import file_digest
-from ssmpipe.runner.plan import Plan, Step, make_plan
+from ssmpipe.runner.plan import Plan, PlanError, Step, make_plan
 from ssmpipe.runner.presets import PRESETS, find_preset
 from ssmpipe.runner.registry import RESERVED, Registry
 from ssmpipe.runner.sources import ID, Source, by_id, find_sources, scan_files
@@ -161,7 +161,7 @@ def load_project(path: Path, overrides: Sequence[str] = (), registry: Registry |
             prepared.append(step)
     if not entries and not problems:
         problems.append(
-            f"{document.where(())}: stages: the chain is empty; set anatomy: {' | '.join(PRESETS)}, or list stages"
+            f"{document.where(('stages',))}: stages: the chain is empty; set anatomy: {' | '.join(PRESETS)}, or list stages"
         )
     sources: list[Source] = []
     warnings: list[str] = []
@@ -176,8 +176,9 @@ def load_project(path: Path, overrides: Sequence[str] = (), registry: Registry |
         prepared = _enter(prepared, kinds)
         try:
             plan = make_plan(prepared, kinds)
-        except ConfigError as error:
-            problems += [f"{document.where(('stages',))}: stages: {part}" for part in error.fact.split("; stage ")]
+        except PlanError as error:
+            places = {entry.id: entry.loc for entry in entries}
+            problems += [f"{document.where(places[step])}: stages: {text}" for step, text in error.problems]
     if problems or config is None:
         raise ConfigErrors(problems)
     return Project(

@@ -52,13 +52,12 @@ def locked(out: Path, part: str | None = None) -> Iterator[None]:
 @contextmanager
 def _held(path: Path, wait_s: float) -> Iterator[None]:
     lock = FileLock(path, timeout=wait_s)
-    try:
-        with disk_errors():
+    with disk_errors():
+        try:
             lock.acquire()
-    except Timeout:
-        raise LockHeldError(
-            f"another run holds {path.parent}{_holder(path)}", "wait for it, or choose another output folder"
-        ) from None
+        except Timeout:  # an OSError, but not one of the disk
+            fact = f"another run holds {path.parent}{_holder(path)}"
+            raise LockHeldError(fact, "wait for it, or choose another output folder") from None
     try:
         yield
     finally:

@@ -68,6 +68,17 @@ class PlannedStep:
         return [p for p in self.inputs.values() if p is not None and p.step != SCAN]
 
 
+class PlanError(ConfigError):
+    """The chain cannot work; ``problems`` are (step id, what) pairs."""
+
+    def __init__(self, problems: Sequence[tuple[str, str]]) -> None:
+        self.problems = tuple(problems)
+        super().__init__("; ".join(text for _, text in problems))
+
+    def __reduce__(self) -> tuple[type, tuple[Any, ...]]:
+        return (PlanError, (self.problems,))
+
+
 @dataclass(frozen=True)
 class Plan:
     """The chain in order."""
@@ -100,14 +111,14 @@ def make_plan(steps: Sequence[Step], source: Mapping[str, str]) -> Plan:
 
     Raises
     ------
-    ConfigError
+    PlanError
         If a required slot has no producer, or the producer makes another kind of artifact.
     """
     made: dict[str, list[tuple[Producer, str]]] = {
         slot: [(Producer(SCAN, "shape"), kind)] for slot, kind in source.items()
     }
     planned: list[PlannedStep] = []
-    problems: list[str] = []
+    problems: list[tuple[str, str]] = []
     for number, step in enumerate(steps, start=1):
         stage = step.stage
         inputs: dict[str, Producer | None] = {}
@@ -119,11 +130,11 @@ def make_plan(steps: Sequence[Step], source: Mapping[str, str]) -> Plan:
             wanted = step.sources.get(port.slot)
             found = [(p, kind) for p, kind in made.get(port.slot, []) if wanted is None or p.step == wanted]
             if not found and (wanted is not None or not port.optional):
-                problems.append(_missing(step, port, wanted, steps, number))
+                problems.append((step.id, _missing(step, port, wanted, steps, number)))
             elif found and found[-1][1] != port.kind:
-                problems.append(
-                    f"stage '{step.id}' reads '{port.slot}' as {port.kind}, but '{found[-1][0].step}' makes it as {found[-1][1]}"
-                )
+                (maker, kind) = found[-1]
+                text = f"stage '{step.id}' reads '{port.slot}' as {port.kind}, but '{maker.step}' makes it as {kind}"
+                problems.append((step.id, text))
             inputs[port.slot] = found[-1][0] if found else None
         planned.append(
             PlannedStep(
@@ -143,7 +154,7 @@ def make_plan(steps: Sequence[Step], source: Mapping[str, str]) -> Plan:
         for port in stage.outputs:
             made.setdefault(port.slot, []).append((Producer(step.id, stage.scope), port.kind))
     if problems:
-        raise ConfigError("; ".join(problems))
+        raise PlanError(problems)
     return Plan(tuple(planned))
 
 

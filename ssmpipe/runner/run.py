@@ -21,7 +21,7 @@ from ssmpipe.runner.lock import locked
 from ssmpipe.runner.plan import SCAN, PlannedStep, segments, select
 from ssmpipe.runner.record import read_failures, run_record, write_failures
 from ssmpipe.runner.registry import REPORT
-from ssmpipe.runner.suggest import did_you_mean
+from ssmpipe.runner.suggest import count, did_you_mean
 from ssmpipe.runner.workspace import Forecast, Workspace, forecast, prepare_members
 
 SCRATCH = ".work"
@@ -295,8 +295,7 @@ class _Run:
             seconds = sum(r.seconds for r in outcome.records)
             n_run = sum(r.status == "done" for r in outcome.records)
             if outcome.failure is None:
-                noun = "stage" if n_run == 1 else "stages"
-                self.console.say(f"[{done[0]}/{len(jobs)}] {job.shape}: {n_run} {noun} run, {seconds:.1f} s")
+                self.console.say(f"[{done[0]}/{len(jobs)}] {job.shape}: {count(n_run, 'stage')} run, {seconds:.1f} s")
 
         batch.run(jobs, finished)
         self.workspace.forget()
@@ -386,7 +385,9 @@ class _Run:
                 internal = outcome.failure.internal
                 self._stop(outcome.failure.line, INTERNAL if internal else QUARANTINED, say=False)
             else:
-                self.console.say(f"{name}: {len(job.ids)} shapes, {sum(r.seconds for r in outcome.records):.1f} s")
+                self.console.say(
+                    f"{name}: {count(len(job.ids), 'shape')}, {sum(r.seconds for r in outcome.records):.1f} s"
+                )
 
         batch.run([job], finished)
         self.workspace.forget()

@@ -12,7 +12,8 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +38,8 @@ JSON_KINDS = ("landmarks", "transform", "info", "json")
 SHAPES = "shapes.json"
 
 
-def stage_command(stage: Stage) -> click.Command:
-    """Return the command of a stage: its options are the fields of its config."""
+def stage_command(stage: Stage, guard: Callable[[], AbstractContextManager[None]]) -> click.Command:
+    """Return the command of a stage: its options are the fields of its config; ``guard`` turns errors into exit codes."""
     group = stage.scope == "cohort"
     params: list[click.Parameter] = [
         click.Argument(["source"], type=click.Path(path_type=Path), metavar="IN_DIR" if group else "IN"),
@@ -67,9 +68,7 @@ def stage_command(stage: Stage) -> click.Command:
             )
 
     def callback(source: Path, target: Path, seed: int, **given: Any) -> None:
-        from ssmpipe.cli import _debug, _errors
-
-        with _errors(_debug()):
+        with guard():
             if group:
                 _run_group(stage, source, target, seed, given)
             else:
@@ -136,8 +135,8 @@ def _run_shape(stage: Stage, source: Path, target: Path, seed: int, given: Mappi
     slots, kinds = _read_shape(source, _main_kind(stage.inputs, source))
     _apply(slots, kinds, shape_id, given)
     ctx = Context(shape_id, make_rng(seed, shape_id, stage.name), _console_logger(stage.name))
+    _prepare(stage, slots, given)
     try:
-        _prepare(stage, slots, cfg, ctx, given)
         made = stage.run(**_arguments(stage, slots, source), cfg=cfg, ctx=ctx)
     except (SsmpipeError, MemoryError, SystemExit) as error:
         fact, remedy, _ = failure_of(error)
@@ -246,7 +245,7 @@ def _apply(slots: dict[str, Any], kinds: dict[str, str], shape_id: str, given: M
     slots["landmarks"], kinds["landmarks"] = Landmarks(marks.points, roles), "landmarks"
 
 
-def _prepare(stage: Stage, slots: dict[str, Any], cfg: Any, ctx: Context, given: Mapping[str, Any]) -> None:
+def _prepare(stage: Stage, slots: dict[str, Any], given: Mapping[str, Any]) -> None:
     for port in stage.prepared:
         value = given.get(f"option_{port.slot}") or given.get(port.slot)
         if not value:

@@ -15,6 +15,7 @@ from ssmpipe.runner.lock import locked
 from ssmpipe.runner.record import read_failures, run_record
 from ssmpipe.runner.registry import REPORT
 from ssmpipe.runner.run import machine, make_workspace
+from ssmpipe.runner.suggest import count
 from ssmpipe.runner.workspace import Forecast, forecast
 
 if TYPE_CHECKING:
@@ -97,10 +98,11 @@ def print_forecast(items: Sequence[Forecast], project: Project, console: Console
             name = f"{step.id} (prepare)" if prepare else step.id
             named = [s for s in shapes if s not in ("", "*")]
             who = f" {', '.join(named[:4])}{', ...' if len(named) > 4 else ''}" if named else ""
-            count = f" [{len(named)} shapes]" if len(named) > 1 else ""
-            console.say(f"{'run ' if run else 'skip'} {name}{count}:{who}{' -' if named else ''} {reason}")
-    n_run = sum(item.run for item in items)
-    console.say(f"{n_run} tasks would run, {len(items) - n_run} are up to date; nothing was touched")
+            size = f" [{len(named)} shapes]" if len(named) > 1 else ""
+            console.say(f"{'run ' if run else 'skip'} {name}{size}:{who}{' -' if named else ''} {reason}")
+    tasks = [item for item in items if item.shape != "*"]
+    n_run = sum(item.run for item in tasks)
+    console.say(f"{count(n_run, 'task')} would run, {len(tasks) - n_run} up to date; nothing was touched")
 
 
 def rewrite_report(project: Project) -> Path:

@@ -1,4 +1,4 @@
-"""Guess which known word was meant."""
+"""Words in messages: guess which known one was meant, put a number before a noun."""
 
 from __future__ import annotations
 
@@ -24,3 +24,14 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
         best = next(w for w in words if w.lower().replace("_", "-") == close[0])
         return f"; did you mean '{best}'?"
     return f"; known: {', '.join(words)}" if words and len(words) <= 20 else ""
+
+
+def count(n: int, noun: str) -> str:
+    """Return a number with its noun.
+
+    Examples
+    --------
+    >>> count(1, "task"), count(2, "task")
+    ('1 task', '2 tasks')
+    """
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"

@@ -1,0 +1,268 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from ssmpipe.io.meshes import write_mesh
+from ssmpipe.runner.config import ConfigErrors, load_project
+from ssmpipe.runner.presets import PRESETS
+from ssmpipe.runner.registry import Registry
+from tests.support.toys import tetrahedron
+
+GOOD = """\
+name: toys
+input:
+  scans: scans
+output: out
+stages:
+  - grow: {factor: 3}
+  - total
+"""
+
+
+@pytest.fixture
+def problems(tmp_path: Path, scans: Path, registry: Registry) -> Callable[..., list[str]]:
+    def find(text: str, *overrides: str) -> list[str]:
+        path = tmp_path / "c.yaml"
+        path.write_text(text)
+        try:
+            load_project(path, overrides, registry)
+        except ConfigErrors as error:
+            return [p.replace(str(tmp_path) + "/", "") for p in error.problems]
+        return []
+
+    return find
+
+
+def test_good(problems: Callable[..., list[str]]) -> None:
+    assert problems(GOOD) == []
+
+
+def test_all_problems_at_once_each_with_its_line(problems: Callable[..., list[str]]) -> None:
+    text = """\
+nam: toys
+input:
+  scan: scans
+  units: inch
+output: out
+stages:
+  - grow: {facter: 3}
+  - shrink
+  - shift:
+      noise: -1
+      reference: 5
+seed: -1
+"""
+    found = problems(text)
+    expected = [
+        "c.yaml:1: nam: unknown key; did you mean 'name'?",
+        "c.yaml:1: name: is missing",
+        "c.yaml:3: input.scan: unknown key; did you mean 'scans'?",
+        "c.yaml:4: input.units: should be 'mm', 'cm', 'm', 'um' or 'none' (got \"inch\")",
+        "c.yaml:7: stages.0.grow.facter: unknown key; did you mean 'factor'?",
+        "c.yaml:10: stages.2.shift.noise: should be greater than or equal to 0 (got -1)",
+        "c.yaml:11: stages.2.shift.reference: should be a valid string (got 5)",
+        "c.yaml:12: seed: should be greater than or equal to 0 (got -1)",
+    ]
+    assert sorted(p for p in found if ": stages.1: " not in p) == sorted(expected)
+    (unknown,) = (p for p in found if "stages.1" in p)
+    assert unknown.startswith("c.yaml:8: stages.1: unknown stage 'shrink'")
+
+
+def test_types_are_strict(problems: Callable[..., list[str]]) -> None:
+    (found,) = problems(GOOD.replace("factor: 3", "factor: 1.5 mm"))
+    assert found == 'c.yaml:6: stages.0.grow.factor: should be a valid number (got "1.5 mm")'
+    (found,) = problems(GOOD + "seed: 1.5\n")
+    assert found.startswith("c.yaml:8: seed: should be a valid integer")
+
+
+def test_union_branches_are_one_problem(problems: Callable[..., list[str]]) -> None:
+    (found,) = problems(GOOD.replace("scans: scans", "scans: {a: b}"))
+    assert found == 'c.yaml:3: input.scans: should be a valid string or should be a valid array (got {"a": "b"})'
+
+
+@pytest.mark.parametrize(
+    ("stages", "message"),
+    [
+        ("[{grow: {}, total: {}}]", "stages.0: write one stage per entry"),
+        ("[grow, grow]", "'grow' occurs twice; tell them apart: grow: {id: grow-2}"),
+        ("[{grow: 5}]", "grow: needs options as a mapping (got 5)"),
+        ("[{grow: {skip: maybe}}]", "grow.skip: must be true or false"),
+        ("[{grow: {id: 'a b'}}]", "grow.id: must be a short name"),
+        ("[{grow: {from: {uv: shift}}}]", "grow.from.uv: grow reads no such slot; known: mesh"),
+        ("[{grow: {from: {mesh: shift}}}]", "to read 'mesh' from 'shift'"),
+        ("[{grow: {after: shift}}]", "`after` needs an anatomy"),
+        ("[fit]", "stage 'fit' needs 'samples', and no stage before it makes that"),
+        ("[]", "the chain is empty; set anatomy: femur-distal | disk"),
+        ("5", "stages: should be a valid array"),
+    ],
+)
+def test_chain_problems(problems: Callable[..., list[str]], stages: str, message: str) -> None:
+    found = problems(f"name: t\ninput: {{scans: scans}}\noutput: out\nstages: {stages}\n")
+    assert len(found) == 1
+    assert found[0].startswith("c.yaml:4: ")
+    assert message in found[0]
+
+
+def test_repeats_have_ids(tmp_path: Path, scans: Path, registry: Registry) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text(GOOD.replace("  - total", "  - grow: {id: grow-2, from: {mesh: grow}}\n  - total"))
+    project = load_project(path, ["stages.grow-2.factor=5"], registry)
+    assert [(s.id, s.stage.name, s.options.get("factor")) for s in project.steps[:2]] == [
+        ("grow", "grow", 3.0),
+        ("grow-2", "grow", 5.0),
+    ]
+
+
+# --- presets ---
+
+
+def preset(
+    tmp_path: Path, registry: Registry, stages: str, anatomy: str = "femur-distal", *overrides: str
+) -> list[tuple]:
+    path = tmp_path / "c.yaml"
+    path.write_text(f"name: t\ninput: {{scans: scans}}\noutput: out\nanatomy: {anatomy}\nstages: {stages}\n")
+    project = load_project(path, overrides, registry)
+    return [(s.id, dict(s.options)) for s in project.steps]
+
+
+def test_presets_run_with_the_stages_that_exist(tmp_path: Path, scans: Path, registry: Registry) -> None:
+    for name, one in PRESETS.items():
+        assert [i for i, _ in preset(tmp_path, registry, "[]", name)] == [stage for stage, _ in one.stages]
+
+
+def test_merge_skip_and_insert(tmp_path: Path, scans: Path, registry: Registry) -> None:
+    text = "[{decimate: {n_faces: 5000}}, {smooth: {skip: true}}, {grow: {after: repair}}, {grow: {id: again, after: fit}}]"
+    steps = preset(tmp_path, registry, text)
+    names = [i for i, _ in steps]
+    assert names[:5] == ["repair", "grow", "orient", "trim", "decimate"]
+    assert names[names.index("fit") + 1] == "again"
+    assert dict(steps)["decimate"]["n_faces"] == 5000
+    assert "smooth" not in names
+
+
+def test_bare_stages_key_means_none(tmp_path: Path, scans: Path, registry: Registry) -> None:
+    assert len(preset(tmp_path, registry, "")) == 13
+
+
+@pytest.mark.parametrize(
+    ("stages", "message"),
+    [
+        ("[grow]", "'grow' is not part of the chain of femur-distal; say where it goes"),
+        ("[{grow: {after: smoth}}]", "grow.after: no such step 'smoth'; did you mean 'smooth'?"),
+        ("[{smooth: {after: fit}}]", "'smooth' is in the chain already; give the second one an id"),
+        ("[smooth, {smooth: {}}]", "'smooth' is given twice, first in c.yaml:5"),
+        ("[{decimate: {n_face: 5}}]", "stages.0.decimate.n_face: unknown key; did you mean 'n_faces'?"),
+    ],
+)
+def test_preset_problems(problems: Callable[..., list[str]], stages: str, message: str) -> None:
+    (found,) = problems(f"name: t\ninput: {{scans: scans}}\noutput: out\nanatomy: femur-distal\nstages: {stages}\n")
+    assert found.startswith("c.yaml:5: ")
+    assert message in found
+
+
+def test_unknown_anatomy(problems: Callable[..., list[str]]) -> None:
+    (found,) = problems("name: t\ninput: {scans: scans}\noutput: out\nanatomy: femur-distel\n")
+    assert found == "c.yaml:4: anatomy: unknown 'femur-distel'; did you mean 'femur-distal'?"
+
+
+# --- --set ---
+
+
+def test_overrides(tmp_path: Path, scans: Path, registry: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text(GOOD)
+    other = tmp_path / "elsewhere"
+    (other / "more").mkdir(parents=True)
+    for name in "xyz":
+        write_mesh(other / "more" / f"{name}.stl", tetrahedron())
+    monkeypatch.chdir(other)
+    project = load_project(
+        path,
+        ["input.scans=more", "seed=7", "stages.grow.factor=1e1", "stages.total.weight=2", "limits.timeout_s=null"],
+        registry,
+    )
+    assert sorted(project.sources) == ["x", "y", "z"]
+    assert project.config.seed == 7
+    assert project.config.limits.timeout_s is None
+    assert [s.options.get("factor", s.options.get("weight")) for s in project.steps] == [10.0, 2.0]
+    assert project.out == tmp_path / "out"
+    assert load_project(path, ["output=here"], registry).out == other / "here"
+
+
+def test_override_problems_name_the_option(problems: Callable[..., list[str]]) -> None:
+    assert problems(GOOD, "sed=3") == ["--set sed=3: sed: unknown key; did you mean 'seed'?"]
+    (found,) = problems(GOOD, "stages.grow.factr=3")
+    assert found == "--set stages.grow.factr=3: stages.0.grow.factr: unknown key; did you mean 'factor'?"
+    (found,) = problems(GOOD, "stages.grov.factor=3")
+    assert found.startswith("--set stages.grov.factor=3: stages.2: unknown stage 'grov'; did you mean 'grow'?")
+
+
+# --- inputs ---
+
+
+def test_inputs(tmp_path: Path, scans: Path, registry: Registry) -> None:
+    (tmp_path / "cohort.csv").write_text("id,side,age\na,left,50\nb,R,60\nz,L,1\n")
+    (tmp_path / "marks.json").write_text(json.dumps({"a": {"tip": [0, 0, 0]}}))
+    path = tmp_path / "c.yaml"
+    text = GOOD.replace("scans: scans", "scans: scans\n  cohort: cohort.csv\n  landmarks: marks.json\n  units: cm")
+    path.write_text(text)
+    project = load_project(path, (), registry)
+    a, b, c, _ = project.sources.values()
+    assert (a.side, dict(a.columns), a.landmarks) == ("L", {"age": "50"}, {"tip": (0.0, 0.0, 0.0)})
+    assert (b.side, c.side, c.landmarks) == ("R", None, None)
+    assert any(w.startswith("c: no row in the cohort table") for w in project.warnings)
+    assert any(w.startswith("b: no landmarks") for w in project.warnings)
+    assert "cohort table: 1 entries have no scan (z)" in project.warnings
+    assert a.load()["mesh"].vertices.max() == 100.0
+    assert a.load()["transform"][0, 0] == 10.0
+
+
+def test_scans_from_the_cohort_table(tmp_path: Path, scans: Path, registry: Registry) -> None:
+    (tmp_path / "cohort.csv").write_text("id,path\none,scans/a.ply\ntwo,scans/b.ply\n")
+    path = tmp_path / "c.yaml"
+    path.write_text(GOOD.replace("scans: scans", "cohort: cohort.csv"))
+    assert {i: s.path.name for i, s in load_project(path, (), registry).sources.items()} == {
+        "one": "a.ply",
+        "two": "b.ply",
+    }
+    (tmp_path / "cohort.csv").write_text("id,path\n../x,scans/a.ply\n")
+    with pytest.raises(ConfigErrors, match="cannot serve as shape id"):
+        load_project(path, (), registry)
+
+
+def test_input_problems(tmp_path: Path, scans: Path, problems: Callable[..., list[str]]) -> None:
+    def one(line: str) -> str:
+        (found,) = problems(GOOD.replace("scans: scans", line))
+        return found
+
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "two").mkdir()
+    write_mesh(tmp_path / "two" / "a.stl", tetrahedron())
+    write_mesh(tmp_path / "two" / "b c.stl", tetrahedron())
+    (tmp_path / "text.txt").write_text("x")
+    (tmp_path / "side.csv").write_text("id,side\na,up\n")
+    assert one("scans: empty").startswith("c.yaml:3: input.scans: no scans in the folder empty")
+    assert "no scans match none/*.ply" in one("scans: none/*.ply")
+    assert "the scan none.ply does not exist" in one("scans: none.ply")
+    assert "text.txt is not a surface file" in one("scans: [text.txt]")
+    assert "'b c.stl' cannot serve as shape id" in one("scans: two")
+    assert "two scans have the id 'a'" in one("scans: [scans/a.ply, two/a.stl]")
+    assert one("scans: scans\n  cohort: side.csv").startswith(
+        "c.yaml:3: input.scans: cohort table, shape 'a': side is 'up'"
+    )
+    assert one("scans: scans\n  cohort: none.csv").startswith("c.yaml:4: input.cohort: none.csv cannot be read")
+    assert one("scans: scans\n  roles: {apex: x}").startswith("c.yaml:4: input.roles: names landmarks")
+    assert "no scans given" in one("units: mm")
+
+
+def test_options_that_are_files_count_by_content(tmp_path: Path, scans: Path, registry: Registry) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text(GOOD.replace("  - total", "  - shift: {reference: scans/a.ply}\n  - total"))
+    step = load_project(path, (), registry).steps[1]
+    assert step.options["reference"].startswith("file:")
+    assert str(tmp_path) not in json.dumps(dict(step.options))
+    assert step.files["reference"][1] == str(scans / "a.ply")
