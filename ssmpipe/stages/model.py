@@ -49,7 +49,9 @@ def run(*, correspondence: Correspondence, info: dict[str, ShapeInfo], cfg: Conf
     columns: dict[str, list[Any]] = {"id": list(model.ids)}
     for m in range(len(variances)):
         columns[f"mode_{m + 1:02d}"] = scores[:, m].tolist()
-    own = {"id", *columns}
+    own = set(columns)
+    if any(i in info and info[i].side for i in model.ids):
+        columns["side"] = [(info[i].side or "") if i in info else "" for i in model.ids]
     for name in dict.fromkeys(c for i in model.ids if i in info for c in info[i].columns):
         if name not in own:
             columns[name] = [info[i].columns.get(name, "") if i in info else "" for i in model.ids]
