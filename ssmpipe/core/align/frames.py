@@ -199,7 +199,7 @@ def _perpendicular(z: Floats) -> Floats:
 
 
 def _posterior_tangent(condyles: Floats, z: Floats, line: Floats) -> tuple[Floats, Floats, float, float]:
-    """Return x, y, the side's length over the width, and the overhang, from the longest side of the condyles' convex outline seen along z."""
+    """Return x, y, the side's length over the width, and the overhang, from the longest side of the outline seen along z."""
     basis = _perpendicular(z)
     flat = condyles @ basis.T
     hull = flat[ConvexHull(flat).vertices]  # counter-clockwise

@@ -92,7 +92,9 @@ def clean(
     if len(faces) == 0:
         raise TopologyError("every face is degenerate (repeats a vertex)", "check the units and the export of the scan")
 
-    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    ordered = np.sort(faces, axis=1)
+    order = np.lexsort(ordered.T)
+    first = order[np.r_[True, (ordered[order[1:]] != ordered[order[:-1]]).any(axis=1)]]
     changes["duplicate_faces"] = len(faces) - len(first)
     faces = faces[np.sort(first)]
 
@@ -129,10 +131,17 @@ def coincident_vertices(vertices: Floats, tolerance: float, used: Ints | None = 
     array([0, 1, 0])
     """
     used = np.arange(len(vertices)) if used is None else used
-    pairs = cKDTree(vertices[used]).query_pairs(tolerance, output_type="ndarray")
-    n = len(used)
+    points = vertices[used]
+    # equal coordinates first, by sorting: a tree over the threefold points of an STL soup would be slow
+    order = np.lexsort(points.T)
+    new = np.r_[True, (points[order[1:]] != points[order[:-1]]).any(axis=1)]
+    distinct = order[new]
+    group = np.empty(len(points), dtype=np.int64)
+    group[order] = np.cumsum(new) - 1
+    pairs = cKDTree(points[distinct]).query_pairs(tolerance, output_type="ndarray")
+    n = len(distinct)
     graph = sparse.csr_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    label = csgraph.connected_components(graph, directed=False)[1]
+    label = csgraph.connected_components(graph, directed=False)[1][group]
     _, first = np.unique(label, return_index=True)
     result = np.arange(len(vertices))
     result[used] = used[first[label]]
