@@ -68,7 +68,7 @@ class EngineOptions:
     pose: Literal["refined", "procrustes", "keep"] = "refined"
     pose_rounds: int = 6
     remove_size: bool = True
-    prior: float = 0.1
+    prior: float = 0.01
     barriers: tuple[float, ...] = (30.0, 10.0, 3.0)
     floor: float = 0.0
     reference: int | Literal["nearest-to-mean", "none"] = "nearest-to-mean"
