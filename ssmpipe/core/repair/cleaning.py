@@ -76,14 +76,14 @@ def clean(
     """
     changes: dict[str, int] = {}
     vertices, faces = mesh.vertices, mesh.faces
-    used = np.unique(faces)
+    used = np.flatnonzero(np.bincount(faces.ravel()))
     changes["unused_vertices"] = len(vertices) - len(used)
 
     representative = coincident_vertices(
         vertices, merge_tolerance * float(np.linalg.norm(np.ptp(vertices[used], axis=0))), used
     )
     merged = representative[faces]
-    changes["merged_vertices"] = len(used) - len(np.unique(merged))
+    changes["merged_vertices"] = len(used) - int(np.count_nonzero(np.bincount(merged.ravel())))
     faces = merged
 
     degenerate = (faces == np.roll(faces, 1, axis=1)).any(axis=1)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ssmpipe.core.errors import GeometryError, TopologyError
-from ssmpipe.core.mesh.operators import area, volume
+from ssmpipe.core.mesh.operators import area, face_normals, volume
 from ssmpipe.core.mesh.primitives import flat_square, sphere, star_shape, torus, tube
 from ssmpipe.core.mesh.topology import compact, euler_characteristic, is_manifold
 from ssmpipe.core.mesh.trimesh import TriMesh
@@ -123,3 +123,8 @@ def test_flat_pieces_keep_their_direction():
     square = flat_square(5)
     assert not any(clean(square).changes.values())
     assert area(clean(square).mesh) == pytest.approx(1.0)
+    faces = square.faces.copy()
+    faces[[0, 7, 20]] = faces[[0, 7, 20], ::-1]
+    cleaned = clean(TriMesh(square.vertices, faces))
+    assert cleaned.changes["flipped_faces"] == 3
+    assert (face_normals(cleaned.mesh)[:, 2] > 0).all()
