@@ -114,7 +114,15 @@ def measures_text(out: Path) -> str:
         for key, digits in (("generalization", 2), ("specificity", 2), ("compactness", 3), ("compactness_error", 2)):
             cells += [f"{float(t[key][m]):.{digits}f}", f"{float(t[key][n + m]):.{digits}f}"]
         rows.append(cells)
-    header = ["modes", "generalization before [mm]", "after", "specificity before [mm]", "after", "compactness before", "after"]
+    header = [
+        "modes",
+        "generalization before [mm]",
+        "after",
+        "specificity before [mm]",
+        "after",
+        "compactness before",
+        "after",
+    ]
     return table([*header, "compactness error before [mm²]", "after"], rows)
 
 
@@ -128,7 +136,8 @@ def optimization_text(out: Path) -> str:
     return (
         f"Description length {before:.2f} before, {after:.2f} after, both at lambda_cut = {float(z['lambda_cut']):.3g} mm²; "
         f"{len(history['iteration']) - 1} iterations in {float(history['elapsed_s'][-1]):.1f} s. "
-        f"Certificate: {proved} of {len(bounds)} proved; the lower bounds of det dD/du lie between {min(bounds):.3f} and {max(bounds):.3f}.\n"
+        f"Certificate: {proved} of {len(bounds)} proved; "
+        f"the lower bounds of det dD/du lie between {min(bounds):.3f} and {max(bounds):.3f}.\n"
     )
 
 
@@ -152,10 +161,17 @@ def landmark_text(out: Path, data: Path, ids: list[str]) -> str:
         for label in ("initial", "optimized"):
             cells += ["{:.2f} / {:.1f}".format(*groups[name][label])]
         for kind in ("rigid", "affine"):
-            errors = np.concatenate(list(baselines[kind].values())) if name == "all" else baselines[kind].get(name, np.array([np.nan]))
+            of = baselines[kind]
+            errors = np.concatenate(list(of.values())) if name == "all" else of.get(name, np.array([np.nan]))
             cells += [f"{errors.mean():.2f} / {np.percentile(errors, 95):.1f}"]
         rows.append(cells)
-    header = ["landmark (mean / 95th percentile, mm)", "before", "after", "closest point, rigid ICP", "closest point, affine ICP"]
+    header = [
+        "landmark (mean / 95th percentile, mm)",
+        "before",
+        "after",
+        "closest point, rigid ICP",
+        "closest point, affine ICP",
+    ]
     return table(header, rows)
 
 
@@ -185,7 +201,8 @@ def main() -> None:
     parser.add_argument("--work", type=Path, default=Path(tempfile.mkdtemp()))
     options = parser.parse_args()
     root = HERE.parent
-    text = ["# Distal femora: what was measured\n", "Made by `python docs/make_femur_distal.py --data FOLDER`; every figure below was printed by that run"]
+    text = ["# Distal femora: what was measured\n"]
+    text += ["Made by `python docs/make_femur_distal.py --data FOLDER`; every figure below was printed by that run"]
     text += [f"({os.cpu_count()} cores).\n"]
     if options.data:
         out = options.work / "femur"
@@ -197,7 +214,8 @@ def main() -> None:
             raise SystemExit(f"the run ended with exit code {code}")
         ids = [str(i) for i in np.load(out / "cohort" / "optimize" / "correspondence.npz")["ids"]]
         n_scans = len(list((options.data / "scans").glob("*.ply")))
-        text += [f"## {n_scans} real femora\n\n{len(ids)} of {n_scans} finish. Wall time {wall:.0f} s, peak memory of all processes {memory:.2f} GB, two jobs.\n"]
+        text += [f"## {n_scans} real femora\n\n{len(ids)} of {n_scans} finish."]
+        text += [f"Wall time {wall:.0f} s, peak memory of all processes {memory:.2f} GB, two jobs.\n"]
         rows = fit_rows(out, ids)
         text += ["## Spline against trimmed mesh\n"]
         cells = [[i, *[f"{v:.3f}" for v in r]] for i, r in zip(ids, rows, strict=True)]
@@ -211,15 +229,22 @@ def main() -> None:
         again = options.work / "femur_again"
         run([*common, "--set", f"output={again}", "--jobs", "1"])
         same = [digest(o / "cohort" / "optimize" / "correspondence.npz") for o in (out, again)]
-        text += [f"## Same bits\n\n`correspondence.npz` of a second run in another folder with one job: {'identical' if same[0] == same[1] else 'DIFFERENT'}.\n"]
+        verdict = "identical" if same[0] == same[1] else "DIFFERENT"
+        text += [
+            f"## Same bits\n\n`correspondence.npz` of a second run, in another folder and with one job: {verdict}.\n"
+        ]
     synthetic = options.work / "synthetic"
     run(["synth", "femur-distal", str(synthetic / "cohort"), "--n", "12", "--seed", "1"])
     quick = ["run", str(root / "configs" / "quickstart.yaml")]
     for key, value in (("scans", "scans/*.ply"), ("cohort", "cohort.csv"), ("landmarks", "landmarks.json")):
         quick += ["--set", f"input.{key}={synthetic / 'cohort' / value}"]
     code, wall, memory = run([*quick, "--set", f"output={synthetic / 'out'}", "--jobs", "2"])
-    text += [f"## 12 synthetic femora with known truth\n\nExit code {code}, {wall:.0f} s, {memory:.2f} GB.\n", optimization_text(synthetic / "out")]
-    text += [truth_text(synthetic / "out", synthetic / "cohort"), measures_text(synthetic / "out")]
+    text += [f"## 12 synthetic femora with known truth\n\nExit code {code}, {wall:.0f} s, {memory:.2f} GB.\n"]
+    text += [
+        optimization_text(synthetic / "out"),
+        truth_text(synthetic / "out", synthetic / "cohort"),
+        measures_text(synthetic / "out"),
+    ]
     (HERE / "femur_distal.md").write_text("\n".join(text) + "\n", encoding="utf-8")
 
 

@@ -20,6 +20,6 @@ def frozen(array: NDArray, dtype: type) -> NDArray:
     >>> frozen(np.arange(3), float).flags.writeable
     False
     """
-    copy = np.array(array, dtype=dtype, order="C", copy=True)
+    copy: NDArray = np.array(array, dtype=dtype, order="C", copy=True)
     copy.setflags(write=False)
     return copy

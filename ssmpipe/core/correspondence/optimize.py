@@ -183,7 +183,7 @@ def optimize_correspondence(
     recorder = _Recorder(opts.floor, record)
     barriers = opts.barriers
     pose_rounds = opts.pose_rounds if opts.pose == "refined" else 0
-    x: Floats | None = None
+    x = np.tile(reparameterization.identity()[reparameterization.free], len(surfaces) - (reference >= 0))
     n_iterations = n_evaluations = 0
     for pose_round in range(1 + pose_rounds):
         objective = GroupObjective(
@@ -195,8 +195,7 @@ def optimize_correspondence(
             floor=opts.floor,
             reference=reference,
         )
-        if x is None:
-            x = objective.start()
+        if pose_round == 0:
             recorder.note(objective, x)
         for barrier in barriers:
             objective.barrier = barrier
