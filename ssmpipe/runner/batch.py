@@ -10,6 +10,8 @@ import errno
 import json
 import multiprocessing
 import os
+import platform
+import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
@@ -174,8 +176,9 @@ class _Teller:
         return tell
 
 
-def start_child(memory_mb: int | None, noise: str) -> None:
-    """Prepare a fresh child: limits, one thread, and no library chatter on the user's terminal."""
+def start_child(memory_mb: int | None, noise: str, parent: int) -> None:
+    """Prepare a fresh child: limits, one thread, no library chatter on the user's terminal, and no life without parent."""
+    _die_with(parent)
     if memory_mb is not None:
         try:
             import resource
@@ -191,6 +194,25 @@ def start_child(memory_mb: int | None, noise: str) -> None:
     from threadpoolctl import threadpool_limits
 
     threadpool_limits(1)
+
+
+def _die_with(parent: int) -> None:
+    """End this process when its parent is gone: an orphan must not write beside the next run."""
+    if platform.system() == "Linux":
+        import ctypes
+
+        pr_set_pdeathsig, sigkill = 1, 9
+        ctypes.CDLL(None).prctl(pr_set_pdeathsig, sigkill)
+        if os.getppid() != parent:
+            os._exit(1)
+        return
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.2)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 @contextmanager
@@ -271,7 +293,7 @@ class Batch:
                 self._pool = ProcessPool(
                     max_workers=self.jobs,
                     initializer=start_child,
-                    initargs=(self.memory_mb, noise),
+                    initargs=(self.memory_mb, noise, os.getpid()),
                     context=multiprocessing.get_context("spawn"),
                 )
             waiting = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from concurrent.futures import TimeoutError as FutureTimeout
 from dataclasses import dataclass, replace
@@ -15,6 +16,7 @@ from ssmpipe.runner.config import Project
 from ssmpipe.runner.presets import PRESETS
 from ssmpipe.runner.run import default_jobs
 from ssmpipe.runner.sources import TO_MM, Source, check_landmarks, check_size, landmark_distances
+from ssmpipe.runner.suggest import count
 
 if TYPE_CHECKING:
     from ssmpipe.runner.console import Console
@@ -81,7 +83,9 @@ def _inspect_mesh(source: Source, found: ScanCheck) -> ScanCheck:
     if is_edge_manifold(main.faces):
         n_loops, handles = len(boundary_loops(main.faces)), genus(main.faces)
         if handles > 0:
-            warnings.append(f"{handles} handles; the chain needs a surface without, close them in the segmentation")
+            warnings.append(
+                f"{count(handles, 'handle')}; the chain needs a surface without, close them in the segmentation"
+            )
     else:
         warnings.append("some edges are shared by more than two faces; repair is needed")
     found = replace(
@@ -127,7 +131,7 @@ def check_project(project: Project, jobs: int | None = None) -> list[ScanCheck]:
         pool: Any = ProcessPool(
             max_workers=n,
             initializer=start_child,
-            initargs=(limits.memory_mb, f"{noise}/libraries.txt"),
+            initargs=(limits.memory_mb, f"{noise}/libraries.txt", os.getpid()),
             context=get_context("spawn"),
         )
         with pool:

@@ -143,7 +143,7 @@ def _run_shape(stage: Stage, source: Path, target: Path, seed: int, given: Mappi
         raise SsmpipeError(f"{shape_id}, {stage.name}, {source}: {fact}", remedy or None) from error
     slots |= {port.slot: made.get(port.slot) for port in stage.outputs}
     kinds |= {port.slot: port.kind for port in stage.outputs}
-    if "mesh" in made and stage.name != "parameterize":
+    if "mesh" in made:
         for slot in set(PER_VERTEX) - set(made):
             slots.pop(slot, None)
     _write_shape(target, _main_port(stage.outputs, target), slots, kinds)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -193,6 +194,13 @@ def test_other_ways_to_fail(run: Run, way: str, text: str) -> None:
     assert result.exit_code == 3
     assert result.failures["b"].error == text
     assert result.failures["b"].stage == "grow"
+    assert result.ok == ["a", "c", "d"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the limit of a child's memory is tested on Linux")
+def test_memory_limit(run: Run) -> None:
+    result = run("stages.grow.hog=[b]", "limits.memory_mb=2000")
+    assert result.failures["b"].error == "ran out of memory (limits.memory_mb: 2000)"
     assert result.ok == ["a", "c", "d"]
 
 

@@ -7,6 +7,7 @@ import sys
 import time
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import Field
 
 from ssmpipe.contract import Context, Port, Stage, StageConfig
@@ -24,6 +25,7 @@ class Config(StageConfig):
     leave: Annotated[tuple[str, ...], Field(description="Shapes to end the process on.")] = ()
     bug: Annotated[tuple[str, ...], Field(description="Shapes to raise a programming error on.")] = ()
     hang: Annotated[tuple[str, ...], Field(description="Shapes to hang on.")] = ()
+    hog: Annotated[tuple[str, ...], Field(description="Shapes to need 4 GB for.")] = ()
 
 
 def run(mesh: TriMesh, *, cfg: Config, ctx: Context) -> dict[str, Any]:
@@ -37,6 +39,8 @@ def run(mesh: TriMesh, *, cfg: Config, ctx: Context) -> dict[str, Any]:
         raise ZeroDivisionError("oops")
     if ctx.shape_id in cfg.hang:
         time.sleep(60)
+    if ctx.shape_id in cfg.hog:
+        np.ones(2**29)
     ctx.metric("n_faces", mesh.n_faces)
     ctx.metric("elapsed_s", time.perf_counter())
     return {"mesh": TriMesh(mesh.vertices * cfg.factor, mesh.faces)}
