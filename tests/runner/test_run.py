@@ -445,4 +445,4 @@ def test_new_shape_runs_alone_until_the_group(run: Run, scans: Path, project: Lo
 
 
 def test_toys_exist() -> None:
-    assert sorted(p.stem for p in TOY.glob("*.py")) == ["grow", "shift", "total"]
+    assert sorted(p.stem for p in TOY.glob("*.py")) == ["grow", "results", "shift", "total"]

@@ -1,0 +1,43 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from ssmpipe.core.errors import SsmpipeError
+from ssmpipe.runner.config import Project
+from ssmpipe.runner.run import RunOptions, RunResult
+from ssmpipe.runner.status import rewrite_report
+
+CHAIN = ["grow", "shift", "results", "report"]
+
+
+def test_report_is_written_once_and_again_when_results_change(run: Callable[..., RunResult], tmp_path: Path) -> None:
+    result = run(stages=CHAIN)
+    page = tmp_path / "out/report.html"
+    assert (result.exit_code, result.report) == (0, page)
+    text = page.read_text()
+    assert "Meshes were scaled by 2" in text
+    assert "<script" in text
+    again = run(stages=CHAIN)
+    assert (again.n_run, again.report, again.exit_code) == (0, page, 0)
+    failed = run("stages.grow.refuse=[b]", stages=CHAIN)
+    assert failed.exit_code == 3
+    assert "the mesh has 2 components" in page.read_text()
+    page.unlink()
+    assert run("stages.grow.refuse=[b]", stages=CHAIN).n_run == 1
+    assert page.exists()
+
+
+def test_report_command(run: Callable[..., RunResult], project: Callable[..., Project], tmp_path: Path) -> None:
+    with pytest.raises(SsmpipeError, match="'correspondence' of stage 'results' has not been made yet"):
+        rewrite_report(project(stages=CHAIN))
+    run(stages=CHAIN)
+    page = tmp_path / "out/report.html"
+    text = page.read_text()
+    page.write_text("spoilt")
+    assert rewrite_report(project(stages=CHAIN)) == page
+    assert page.read_text() == text
+    assert run(stages=CHAIN).n_run == 0
+    assert run(stages=CHAIN, options=RunOptions(only=("report",), forced=frozenset({"*"}))).n_run == 1
