@@ -74,7 +74,7 @@ class Console:
         """Show what a child says."""
         who = "" if event.key == COHORT else f"{event.key} "
         if self._bar is not None and self._task is not None:
-            if event.kind == "done":
+            if event.kind == "done" and event.key != COHORT:
                 self._bar.advance(self._task)
             elif event.kind == "start":
                 self._bar.update(self._task, description=f"{who}{event.step}")

@@ -45,7 +45,8 @@ def stage_command(stage: Stage, guard: Callable[[], AbstractContextManager[None]
         click.Argument(["source"], type=click.Path(path_type=Path), metavar="IN_DIR" if group else "IN"),
         click.Argument(["target"], type=click.Path(path_type=Path), metavar="OUT_DIR" if group else "OUT"),
     ]
-    params += [_option(name, field) for name, field in stage.config.model_fields.items()]
+    common = {port.slot for port in stage.prepared}
+    params += [_option(name, field, is_file=name in common) for name, field in stage.config.model_fields.items()]
     params.append(
         click.Option(
             ["--seed"], type=click.IntRange(0), default=0, show_default=True, help="Seed of everything random."
@@ -81,8 +82,11 @@ def stage_command(stage: Stage, guard: Callable[[], AbstractContextManager[None]
     return click.Command(stage.name, callback=callback, params=params, help=f"{doc}\n\nReads {reads}; writes {writes}.")
 
 
-def _option(name: str, field: Any) -> click.Option:
+def _option(name: str, field: Any, *, is_file: bool = False) -> click.Option:
     flag = name.replace("_", "-")
+    if is_file:
+        text = f"The {name}: a mesh file, since one file knows nothing of the others.  [default: none, required]"
+        return click.Option([f"--{flag}", f"option_{name}"], metavar="FILE", help=text)
     default = field.get_default(call_default_factory=True)
     shown = (
         "required"
