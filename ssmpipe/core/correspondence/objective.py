@@ -16,7 +16,7 @@ from ssmpipe.core.correspondence.jacobian import BezierJacobian, largest_feasibl
 from ssmpipe.core.correspondence.prior import thin_plate_matrix
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
 from ssmpipe.core.correspondence.weights import MeanAreaWeights
-from ssmpipe.core.spline.evaluate import SurfaceStack
+from ssmpipe.core.spline.evaluate import SplineStack
 
 Covariance = Literal["discrete", "II"]
 
@@ -38,7 +38,7 @@ class GroupObjective:
 
     Parameters
     ----------
-    stack : SurfaceStack
+    stack : SplineStack
         The cohort's surfaces, posed (and scaled) as the objective shall see them.
     reparameterization : Reparameterization
     lambda_cut : float
@@ -62,7 +62,7 @@ class GroupObjective:
 
     def __init__(
         self,
-        stack: SurfaceStack,
+        stack: SplineStack,
         reparameterization: Reparameterization,
         *,
         lambda_cut: float,
@@ -115,12 +115,13 @@ class GroupObjective:
         key = x.tobytes()
         if self._last is not None and self._last[0] == key:
             return self._last[1], coefficients
-        points, du, dv = self.stack.evaluate(self.reparameterization.evaluate(coefficients))
+        jet = self.stack.evaluate(self.reparameterization.evaluate(coefficients))
+        points = jet.points
         mean = points.mean(axis=0)
         weights = self._uniform if self._weights is None else self._weights.value(mean)
         spec = spectrum(points - mean, weights)
         d_gram = (spec.vectors * self._slope(spec.eigenvalues)) @ spec.vectors.T
-        evaluation = Evaluation(points, du, dv, weights, spec, d_gram)
+        evaluation = Evaluation(points, *jet.first, weights, spec, d_gram)
         self._last = (key, evaluation)
         return evaluation, coefficients
 

@@ -19,7 +19,7 @@ from ssmpipe.core.correspondence.weights import MeanAreaWeights
 from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.optim.interior import DescentOptions, minimize_interior
 from ssmpipe.core.result import Result
-from ssmpipe.core.spline.evaluate import SurfaceStack
+from ssmpipe.core.spline.evaluate import SplineStack
 from ssmpipe.core.spline.surface import BSplineSurface
 
 
@@ -167,8 +167,8 @@ def optimize_correspondence(
     )
     identity = reparameterization.identity()[None]
     at_identity = np.repeat(reparameterization.evaluate(identity), len(surfaces), axis=0)
-    raw = SurfaceStack(surfaces)
-    given = raw.evaluate(at_identity)[0]
+    raw = SplineStack(surfaces)
+    given = raw.evaluate(at_identity).points
     alignment = _align(given, opts, keep_pose=opts.pose != "procrustes")
     start_points = _apply(alignment, given, scaled=True)
     mean = start_points.mean(axis=0)
@@ -187,7 +187,7 @@ def optimize_correspondence(
     n_iterations = n_evaluations = 0
     for pose_round in range(1 + pose_rounds):
         objective = GroupObjective(
-            SurfaceStack([_posed(s, alignment, i) for i, s in enumerate(surfaces)]),
+            SplineStack([_posed(s, alignment, i) for i, s in enumerate(surfaces)]),
             reparameterization,
             lambda_cut=lambda_cut,
             covariance=opts.covariance,
@@ -209,7 +209,7 @@ def optimize_correspondence(
             n_iterations += result.n_iterations
             n_evaluations += result.n_evaluations
         if pose_round < pose_rounds:
-            current = raw.evaluate(reparameterization.evaluate(objective.coefficients(x)))[0]
+            current = raw.evaluate(reparameterization.evaluate(objective.coefficients(x))).points
             refined = _align(current, opts, keep_pose=False)
             moved = _apply(refined, current, scaled=True) - _apply(alignment, current, scaled=True)
             if float(np.sqrt((moved**2).sum(axis=-1).mean())) < 1e-3 * size:
@@ -223,7 +223,7 @@ def optimize_correspondence(
     optimum = Optimum(
         coefficients=coefficients,
         parameters=parameters,
-        points=_apply(alignment, raw.evaluate(parameters)[0], scaled=False),
+        points=_apply(alignment, raw.evaluate(parameters).points, scaled=False),
         initial_points=_apply(alignment, given, scaled=False),
         alignment=alignment,
         eigenvalues=eigenvalues,

@@ -1,146 +1,173 @@
-"""Many spline surfaces evaluated at their own scattered points: position and both derivatives in one pass.
+"""Many splines evaluated at their own scattered points: position and derivatives in one pass.
 
-The surfaces are converted once to local polynomials, one coefficient block per knot-span rectangle, so that a point
-costs one gather of ``(p+1)(q+1)d`` numbers and a Horner scheme that yields ``S``, ``S_u`` and ``S_v`` together.
+The splines are converted once to local polynomials, one coefficient block per knot-span cell, so that a point costs one
+gather of ``(p+1)^d_par d`` numbers and a Horner scheme that yields the value and the derivatives together.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
-from ssmpipe.core.arrays import Floats
+from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.spline.basis import design_matrix
+from ssmpipe.core.spline.curve import BSplineCurve
 from ssmpipe.core.spline.knots import breakpoints
 from ssmpipe.core.spline.surface import BSplineSurface
 
+Spline: TypeAlias = BSplineCurve | BSplineSurface
+
+
+@dataclass(frozen=True, eq=False)
+class Jet:
+    """Positions and derivatives of ``n_S`` splines, each at its own ``n_P`` points.
+
+    Parameters
+    ----------
+    points : (n_S, n_P, d)
+    first : (d_par arrays of) (n_S, n_P, d)
+        ``S_u`` and, for surfaces, ``S_v``.
+    second : (arrays of) (n_S, n_P, d)
+        ``S_uu`` for curves; ``S_uu, S_uv, S_vv`` for surfaces; empty unless asked for.
+    """
+
+    points: Floats
+    first: tuple[Floats, ...]
+    second: tuple[Floats, ...] = ()
+
 
 def _span_polynomials(knots: Floats, degree: int) -> Floats:
-    """Return (n_spans, degree + 1, n_control): monomial coefficients, in the local t in [0, 1], of every basis function."""
+    """Return (n_spans, degree + 1, n_control): monomial coefficients, in the local t in [0, 1], of the basis functions."""
     ends = breakpoints(knots)
     # the outermost nodes stay inside the span, so that each belongs to it without doubt
     t = 0.5 - 0.5 * np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
     nodes = ends[:-1, None] + np.diff(ends)[:, None] * t
     values = design_matrix(nodes.ravel(), knots, degree).reshape(len(ends) - 1, degree + 1, -1)
     vandermonde = np.vander(t, increasing=True)
-    return np.asarray(
-        np.linalg.solve(np.broadcast_to(vandermonde, (len(ends) - 1, degree + 1, degree + 1)), values), float
-    )
+    shape = (len(ends) - 1, degree + 1, degree + 1)
+    return np.asarray(np.linalg.solve(np.broadcast_to(vandermonde, shape), values), float)
 
 
-class SurfaceStack:
-    """Surfaces that share degree and knots, ready for repeated evaluation.
+def _horner(block: Floats, t: Floats, order: int) -> list[Floats]:
+    """Evaluate polynomials along axis 1 of (n, degree + 1, m) at (n, 1) ``t``: value and ``order`` derivatives in t."""
+    degree = block.shape[1] - 1
+    out = [block[:, degree].copy()] + [np.zeros_like(block[:, 0]) for _ in range(order)]
+    for k in range(degree - 1, -1, -1):
+        for r in range(order, 0, -1):
+            out[r] *= t
+            out[r] += out[r - 1] if r == 1 else r * out[r - 1]
+        out[0] *= t
+        out[0] += block[:, k]
+    return out
+
+
+class SplineStack:
+    """Splines that share degree and knots, ready for repeated evaluation.
 
     Parameters
     ----------
-    surfaces : sequence of BSplineSurface
-        ``n_S`` surfaces of equal degree, knots and dimension d.
+    splines : sequence of BSplineCurve or BSplineSurface
+        ``n_S`` splines of equal kind, degree, knots and dimension d.
+    periodic : tuple of bool, optional
+        Directions in which parameters are taken modulo 1.
 
     Raises
     ------
     GeometryError
-        If the surfaces differ in degree, knots or dimension.
+        If the splines differ in degree, knots or dimension.
 
     Examples
     --------
     >>> flat = BSplineSurface((1, 1), np.array([0, 0, 1, 1.]), np.array([0, 0, 1, 1.]),
     ...                       np.array([[[0, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0.]]]))
-    >>> SurfaceStack([flat]).evaluate(np.array([[[0.25, 0.5]]]))[0]
+    >>> SplineStack([flat]).evaluate(np.array([[[0.25, 0.5]]])).points
     array([[[0.25, 0.5 , 0.  ]]])
     """
 
-    def __init__(self, surfaces: Sequence[BSplineSurface]) -> None:
-        first = surfaces[0]
-        for k, other in enumerate(surfaces):
-            if other.degree != first.degree or other.dimension != first.dimension:
+    def __init__(self, splines: Sequence[Spline], periodic: tuple[bool, ...] | None = None) -> None:
+        first = splines[0]
+        for k, other in enumerate(splines):
+            if other.degrees != first.degrees or other.dimension != first.dimension:
                 raise GeometryError(
-                    f"surface {k} has degree {other.degree} and dimension {other.dimension}, "
-                    f"surface 0 has {first.degree} and {first.dimension}",
+                    f"spline {k} has degrees {other.degrees} and dimension {other.dimension}, "
+                    f"spline 0 has {first.degrees} and {first.dimension}",
                     "fit all shapes with the same degree",
                 )
-            if not (np.array_equal(other.knots_u, first.knots_u) and np.array_equal(other.knots_v, first.knots_v)):
+            if not all(np.array_equal(a, b) for a, b in zip(other.knot_vectors, first.knot_vectors, strict=True)):
                 raise GeometryError(
-                    f"surface {k} has other knots than surface 0", "fit all shapes with the same control points"
+                    f"spline {k} has other knots than spline 0", "fit all shapes with the same control points"
                 )
-        self.n_shapes = len(surfaces)
+        self.n_shapes = len(splines)
         self.dimension = first.dimension
-        self.degree = first.degree
-        self._ends = (breakpoints(first.knots_u), breakpoints(first.knots_v))
+        self.degrees = first.degrees
+        self.n_directions = len(first.degrees)
+        self.periodic = periodic or (False,) * self.n_directions
+        self._ends = tuple(breakpoints(k) for k in first.knot_vectors)
         self._uniform = tuple(bool(np.allclose(np.diff(e), e[1] - e[0], rtol=1e-12, atol=0)) for e in self._ends)
-        poly_u = _span_polynomials(first.knots_u, first.degree[0])
-        poly_v = _span_polynomials(first.knots_v, first.degree[1])
-        p, q, d = first.degree[0], first.degree[1], first.dimension
-        blocks = []
-        for surface in surfaces:
-            inner = np.einsum("sak,kld->sald", poly_u, surface.control_points, optimize=True)
-            local = np.einsum("tbl,sald->stabd", poly_v, inner, optimize=True)
-            blocks.append(np.ascontiguousarray(local.reshape(len(poly_u) * len(poly_v), (p + 1) * (q + 1) * d)))
-        self._blocks = blocks
+        polynomials = [_span_polynomials(k, p) for k, p in zip(first.knot_vectors, first.degrees, strict=True)]
+        self._blocks = [self._cells(s.control_points, polynomials) for s in splines]
 
-    def _locate(self, axis: int, parameters: Floats) -> tuple[np.ndarray, Floats, float | Floats]:
-        """Return span index, local coordinate t in [0, 1] and 1 / span length."""
+    @staticmethod
+    def _cells(control: Floats, polynomials: list[Floats]) -> Floats:
+        """Return (n_cells, coefficients) local polynomials of one spline."""
+        if len(polynomials) == 1:
+            local = np.einsum("sak,kd->sad", polynomials[0], control, optimize=True)
+            return np.ascontiguousarray(local.reshape(len(local), -1))
+        inner = np.einsum("sak,kld->sald", polynomials[0], control, optimize=True)
+        local = np.einsum("tbl,sald->stabd", polynomials[1], inner, optimize=True)
+        return np.ascontiguousarray(local.reshape(local.shape[0] * local.shape[1], -1))
+
+    def _locate(self, axis: int, parameters: Floats) -> tuple[Ints, Floats, Floats]:
+        """Return span index, local coordinate t in [0, 1] (n, 1) and 1 / span length (broadcastable to (n, 1))."""
+        if self.periodic[axis]:
+            parameters = parameters - np.floor(parameters)
         ends = self._ends[axis]
         n_spans = len(ends) - 1
         if self._uniform[axis]:
             scaled = parameters * n_spans
             index = np.clip(scaled.astype(np.int64), 0, n_spans - 1)
-            return index, scaled - index, float(n_spans)
-        index = np.clip(np.searchsorted(ends, parameters, side="right") - 1, 0, n_spans - 1)
+            return index, (scaled - index)[:, None], np.array(float(n_spans))
+        index = np.clip(np.searchsorted(ends, parameters, side="right") - 1, 0, n_spans - 1).astype(np.int64)
         inverse = 1.0 / np.diff(ends)[index]
-        return index, (parameters - ends[index]) * inverse, inverse
+        return index, ((parameters - ends[index]) * inverse)[:, None], inverse[:, None]
 
-    def evaluate(self, parameters: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return positions and first derivatives of all surfaces, each at its own points.
+    def evaluate(self, parameters: Floats, *, second: bool = False) -> Jet:
+        """Return positions, first and (if asked for) second derivatives of all splines, each at its own points.
 
         Parameters
         ----------
-        parameters : (n_S, n_P, 2) float64
-            In the unit square.
-
-        Returns
-        -------
-        points, derivative_u, derivative_v : (n_S, n_P, d) float64
+        parameters : (n_S, n_P, d_par) float64
+            In the unit interval or square; periodic directions take any number.
+        second : bool, default=False
         """
-        n_points = parameters.shape[1]
-        shape = (self.n_shapes, n_points, self.dimension)
-        out = np.empty(shape), np.empty(shape), np.empty(shape)
+        n_d = self.n_directions
+        count = 1 + n_d + (n_d * (n_d + 1) // 2 if second else 0)
+        out = [np.empty((self.n_shapes, parameters.shape[1], self.dimension)) for _ in range(count)]
         for i in range(self.n_shapes):
-            self.evaluate_one(i, parameters[i], out[0][i], out[1][i], out[2][i])
-        return out
+            for target, values in zip(out, self._evaluate_one(i, parameters[i], second), strict=True):
+                target[i] = values
+        return Jet(out[0], tuple(out[1 : 1 + n_d]), tuple(out[1 + n_d :]))
 
-    def evaluate_one(
-        self, i: int, parameters: Floats, points: Floats, derivative_u: Floats, derivative_v: Floats
-    ) -> None:
-        """Evaluate surface ``i`` at (n, 2) ``parameters`` into the given (n, d) arrays."""
-        p, q = self.degree
+    def _evaluate_one(self, i: int, parameters: Floats, second: bool) -> list[Floats]:
+        order = 2 if second else 1
         index_u, t, du = self._locate(0, parameters[:, 0])
+        p = self.degrees[0]
+        if self.n_directions == 1:
+            block = self._blocks[i][index_u].reshape(-1, p + 1, self.dimension)
+            values = _horner(block, t, order)
+            return [values[0], values[1] * du] + ([values[2] * du**2] if second else [])
         index_v, s, dv = self._locate(1, parameters[:, 1])
-        block = self._blocks[i][index_u * (len(self._ends[1]) - 1) + index_v].reshape(
-            -1, p + 1, (q + 1) * self.dimension
-        )
-        t = t[:, None]
-        row = block[:, p].copy()
-        row_t = np.zeros_like(row)
-        for k in range(p - 1, -1, -1):
-            row_t *= t
-            row_t += row
-            row *= t
-            row += block[:, k]
-        row = row.reshape(-1, q + 1, self.dimension)
-        row_t = row_t.reshape(-1, q + 1, self.dimension)
-        s = s[:, None]
-        value = row[:, q].copy()
-        value_t = row_t[:, q].copy()
-        value_s = np.zeros_like(value)
-        for k in range(q - 1, -1, -1):
-            value_s *= s
-            value_s += value
-            value *= s
-            value += row[:, k]
-            value_t *= s
-            value_t += row_t[:, k]
-        points[...] = value
-        derivative_u[...] = value_t * (du if np.ndim(du) == 0 else np.asarray(du)[:, None])
-        derivative_v[...] = value_s * (dv if np.ndim(dv) == 0 else np.asarray(dv)[:, None])
+        q = self.degrees[1]
+        cell = index_u * (len(self._ends[1]) - 1) + index_v
+        block = self._blocks[i][cell].reshape(-1, p + 1, (q + 1) * self.dimension)
+        rows = [r.reshape(-1, q + 1, self.dimension) for r in _horner(block, t, order)]
+        value = _horner(rows[0], s, order)
+        slope = _horner(rows[1], s, 1 if second else 0)
+        out = [value[0], slope[0] * du, value[1] * dv]
+        if second:
+            out += [_horner(rows[2], s, 0)[0] * du**2, slope[1] * (du * dv), value[2] * dv**2]
+        return out

@@ -82,3 +82,19 @@ def find_spans(knots: Floats, degree: int, parameters: Floats) -> Ints:
     """
     n_control = len(knots) - degree - 1
     return np.clip(np.searchsorted(knots, parameters, side="right") - 1, degree, n_control - 1).astype(np.int64)
+
+
+def check_clamped_knots(knots: Floats, degree: int, n_control: int, name: str) -> None:
+    """Check the length, order and ends of a knot vector.
+
+    Raises
+    ------
+    GeometryError
+        With the name of the knot vector and the counts.
+    """
+    if knots.shape != (n_control + degree + 1,):
+        raise GeometryError(f"{name}: got {knots.size} knots, need n_control + degree + 1 = {n_control + degree + 1}")
+    if np.any(np.diff(knots) < 0):
+        raise GeometryError(f"{name}: knots must not decrease")
+    if not (np.all(knots[: degree + 1] == 0) and np.all(knots[-degree - 1 :] == 1)):
+        raise GeometryError(f"{name}: the first and last {degree + 1} knots must be 0 and 1 (clamped)")

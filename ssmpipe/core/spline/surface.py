@@ -8,6 +8,7 @@ import numpy as np
 
 from ssmpipe.core.arrays import Floats, frozen
 from ssmpipe.core.errors import GeometryError
+from ssmpipe.core.spline.knots import check_clamped_knots
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,15 +49,7 @@ class BSplineSurface:
         object.__setattr__(self, "degree", (int(self.degree[0]), int(self.degree[1])))
         for axis, name in enumerate(("knots_u", "knots_v")):
             knots = np.asarray(getattr(self, name), dtype=np.float64)
-            degree, n_control = self.degree[axis], control.shape[axis]
-            if knots.shape != (n_control + degree + 1,):
-                raise GeometryError(
-                    f"{name}: got {knots.size} knots, need n_control + degree + 1 = {n_control + degree + 1}"
-                )
-            if np.any(np.diff(knots) < 0):
-                raise GeometryError(f"{name}: knots must not decrease")
-            if not (np.all(knots[: degree + 1] == 0) and np.all(knots[-degree - 1 :] == 1)):
-                raise GeometryError(f"{name}: the first and last {degree + 1} knots must be 0 and 1 (clamped)")
+            check_clamped_knots(knots, self.degree[axis], control.shape[axis], name)
             object.__setattr__(self, name, frozen(knots, np.float64))
         object.__setattr__(self, "control_points", frozen(control, np.float64))
 
@@ -64,3 +57,13 @@ class BSplineSurface:
     def dimension(self) -> int:
         """Dimension d of the space the surface lives in."""
         return int(self.control_points.shape[2])
+
+    @property
+    def degrees(self) -> tuple[int, int]:
+        """Degrees per direction."""
+        return self.degree
+
+    @property
+    def knot_vectors(self) -> tuple[Floats, Floats]:
+        """Knot vectors per direction."""
+        return (self.knots_u, self.knots_v)

@@ -3,13 +3,13 @@ import pytest
 
 from ssmpipe.core.correspondence.objective import GroupObjective
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
-from ssmpipe.core.spline.evaluate import SurfaceStack
+from ssmpipe.core.spline.evaluate import SplineStack
 from tests.support.surfaces import bumps, taylor_rate
 
 
 def objective(covariance="discrete", boundary="fixed", reference=1, **options):
     reparameterization = Reparameterization((7, 6), (21, 23), boundary=boundary)
-    stack = SurfaceStack(bumps(5))
+    stack = SplineStack(bumps(5))
     return GroupObjective(
         stack, reparameterization, lambda_cut=1e-3, covariance=covariance, reference=reference, **options
     )
@@ -53,8 +53,8 @@ def test_description_length_does_not_depend_on_the_order_of_the_shapes():
     surfaces = bumps(5)
     reparameterization = Reparameterization((6, 6), (21, 21))
     order = [3, 0, 4, 1, 2]
-    a = GroupObjective(SurfaceStack(surfaces), reparameterization, lambda_cut=1e-3)
-    b = GroupObjective(SurfaceStack([surfaces[i] for i in order]), reparameterization, lambda_cut=1e-3)
+    a = GroupObjective(SplineStack(surfaces), reparameterization, lambda_cut=1e-3)
+    b = GroupObjective(SplineStack([surfaces[i] for i in order]), reparameterization, lambda_cut=1e-3)
     assert a.description_length(a.start()) == pytest.approx(b.description_length(b.start()), rel=1e-10)
 
 

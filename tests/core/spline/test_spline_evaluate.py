@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
-from scipy.interpolate import NdBSpline
+from scipy.interpolate import BSpline, NdBSpline
 
 from ssmpipe.core.errors import GeometryError
-from ssmpipe.core.spline.evaluate import SurfaceStack
+from ssmpipe.core.spline.curve import BSplineCurve
+from ssmpipe.core.spline.evaluate import SplineStack
 from ssmpipe.core.spline.knots import clamped_uniform_knots
 from ssmpipe.core.spline.surface import BSplineSurface
 
@@ -27,7 +28,8 @@ def test_agrees_with_scipy_in_value_and_derivatives(degree, uniform):
     uv = rng.random((3, 200, 2))
     uv[:, :4] = [[0, 0], [1, 1], [1, 0], [0, 1]]
     uv[:, 4, 0] = knots[0][degree[0] + 2]
-    points, du, dv = SurfaceStack(surfaces).evaluate(uv)
+    jet = SplineStack(surfaces).evaluate(uv, second=True)
+    points, (du, dv) = jet.points, jet.first
     for i, s in enumerate(surfaces):
         oracle = NdBSpline(tuple(knots), s.control_points, degree)
         inside = np.ones(200, bool)
@@ -36,14 +38,19 @@ def test_agrees_with_scipy_in_value_and_derivatives(degree, uniform):
         np.testing.assert_allclose(points[i], oracle(uv[i]), atol=1e-12)
         np.testing.assert_allclose(du[i][inside], oracle(uv[i][inside], nu=(1, 0)), atol=1e-9)
         np.testing.assert_allclose(dv[i][inside], oracle(uv[i][inside], nu=(0, 1)), atol=1e-9)
+        if min(degree) > 2:
+            for values, nu in zip(jet.second, ((2, 0), (1, 1), (0, 2)), strict=True):
+                np.testing.assert_allclose(values[i], oracle(uv[i], nu=nu), atol=1e-6)
+        elif degree == (2, 2):
+            np.testing.assert_allclose(jet.second[1][i], oracle(uv[i], nu=(1, 1)), atol=1e-8)
 
 
 def test_refuses_different_knots():
     rng = np.random.default_rng(0)
     a = random_surface(rng, (2, 2), clamped_uniform_knots(6, 2), clamped_uniform_knots(6, 2))
     b = random_surface(rng, (2, 2), clamped_uniform_knots(7, 2), clamped_uniform_knots(6, 2))
-    with pytest.raises(GeometryError, match="surface 1 has other knots than surface 0"):
-        SurfaceStack([a, b])
+    with pytest.raises(GeometryError, match="spline 1 has other knots than spline 0"):
+        SplineStack([a, b])
 
 
 @pytest.mark.parametrize(
@@ -58,3 +65,19 @@ def test_surface_refuses_bad_knots(knots, words):
     good = clamped_uniform_knots(3, 2)
     with pytest.raises(GeometryError, match=words):
         BSplineSurface((2, 2), knots, good, np.zeros((3, 3, 3)))
+
+
+@pytest.mark.parametrize("degree", [2, 3])
+def test_curves_agree_with_scipy_and_wrap_when_periodic(degree):
+    rng = np.random.default_rng(1)
+    knots = clamped_uniform_knots(9, degree)
+    control = rng.normal(size=(9, 2))
+    control[-1] = control[0]
+    u = rng.random((1, 100, 1))
+    stack = SplineStack([BSplineCurve(degree, knots, control)], periodic=(True,))
+    jet, shifted = stack.evaluate(u, second=True), stack.evaluate(u - 3.0)
+    oracle = BSpline(knots, control, degree)
+    np.testing.assert_allclose(jet.points[0], oracle(u[0, :, 0]), atol=1e-13)
+    np.testing.assert_allclose(jet.first[0][0], oracle.derivative()(u[0, :, 0]), atol=1e-11)
+    np.testing.assert_allclose(jet.second[0][0], oracle.derivative(2)(u[0, :, 0]), atol=1e-9)
+    np.testing.assert_allclose(jet.points, shifted.points, atol=1e-11)
