@@ -1,0 +1,1 @@
+"""Planar outlines: ordered points, open or closed."""
