@@ -8,14 +8,14 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from ssmpipe.contract import Context, Port, Stage, StageConfig, Table
-from ssmpipe.core.arrays import Floats
+from ssmpipe.contract import Context, Landmarks, Port, Stage, StageConfig, Table
+from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.correspondence.correspondence import Correspondence
 from ssmpipe.core.correspondence.optimize import EngineOptions, Optimum, optimize_correspondence
 from ssmpipe.core.errors import ConfigError, FoldoverError
 from ssmpipe.core.mesh.grid import grid_faces
 from ssmpipe.core.mesh.trimesh import TriMesh
-from ssmpipe.core.spline.surface import BSplineSurface
+from ssmpipe.core.spline.evaluate import Spline
 
 _DEFAULT = EngineOptions()
 
@@ -24,20 +24,34 @@ class Config(StageConfig):
     """Options of ``optimize``."""
 
     n_coefficients: Annotated[
-        tuple[int, int], Field(description="B-spline coefficients of every reparameterization, per direction.")
+        tuple[int, ...],
+        Field(description="B-spline coefficients of every reparameterization, per direction (one number for curves)."),
     ] = _DEFAULT.n_coefficients
-    landmarks: Annotated[tuple[int, int], Field(description="Landmark grid of the covariance, per direction.")] = (
-        _DEFAULT.landmarks
-    )
+    landmarks: Annotated[
+        tuple[int, ...], Field(description="Landmark grid of the covariance, per direction (one number for curves).")
+    ] = _DEFAULT.landmarks
     degree: Annotated[int, Field(ge=2, le=5, description="Degree of the reparameterization.")] = _DEFAULT.degree
     boundary: Annotated[
-        Literal["fixed", "sliding"],
-        Field(description="fixed: boundary points stay; sliding: they may slide along their edge, corners stay."),
-    ] = _DEFAULT.boundary
+        Literal["auto", "fixed", "sliding", "periodic"],
+        Field(
+            description="fixed: boundary points stay; sliding: they may slide along their edge, corners stay; periodic: closed "
+            "curves and tubes, the seam may move; auto: periodic where the splines close, else fixed."
+        ),
+    ] = "auto"
     covariance: Annotated[
-        Literal["discrete", "II"],
-        Field(description="Landmark weights: discrete: equal; II: area on the mean shape, with exact gradient."),
+        Literal["discrete", "I", "II"],
+        Field(
+            description="Landmark weights. discrete: equal; I: integral over the domain; II: integral over the mean shape."
+        ),
     ] = _DEFAULT.covariance
+    quadrature: Annotated[
+        Literal["grid", "midpoint", "gauss"],
+        Field(description="Landmarks of covariance I and II; discrete takes the grid."),
+    ] = _DEFAULT.quadrature
+    objective: Annotated[
+        Literal["description-length", "log-determinant", "trace"],
+        Field(description="Function of the eigenvalues to minimize."),
+    ] = _DEFAULT.objective
     lambda_cut: Annotated[
         float | Literal["auto"],
         Field(description="Variance below which a mode counts as noise [mm^2]; auto: (RMS radius / 1000)^2."),
@@ -46,7 +60,7 @@ class Config(StageConfig):
         Literal["refined", "procrustes", "keep"],
         Field(
             description="Rigid poses. keep: as aligned; procrustes: refined once before, from the initial correspondence; "
-            "refined: refined from the optimized correspondence, pose_rounds times."
+            "refined: refined from the optimized correspondence, at most pose_rounds times."
         ),
     ] = _DEFAULT.pose
     pose_rounds: Annotated[int, Field(ge=0, description="Refinements of the poses when pose is refined.")] = (
@@ -65,9 +79,37 @@ class Config(StageConfig):
     floor: Annotated[float, Field(ge=0, lt=1, description="Lower bound that det dD/du is kept above [-].")] = (
         _DEFAULT.floor
     )
+    form: Annotated[
+        Literal["bezier", "bspline", "sampled"], Field(description="Form of det dD/du that the barrier sees.")
+    ] = _DEFAULT.form
+    aggregate: Annotated[
+        Literal["each", "ks"],
+        Field(description="Barrier on each coefficient, or on their Kreisselmeier-Steinhauser aggregate."),
+    ] = _DEFAULT.aggregate
+    sharpness: Annotated[float, Field(gt=0, description="K of the Kreisselmeier-Steinhauser aggregate [-].")] = (
+        _DEFAULT.sharpness
+    )
     reference: Annotated[
         str, Field(description="Shape that is not reparameterized: nearest-to-mean, none, or a shape id.")
     ] = "nearest-to-mean"
+    coarse_to_fine: Annotated[bool, Field(description="Solve coarser nested spaces first, by knot insertion.")] = (
+        _DEFAULT.coarse_to_fine
+    )
+    guides: Annotated[
+        tuple[str, ...],
+        Field(description="Names of landmarks that guide the correspondence; empty: none, landmarks only measure."),
+    ] = ()
+    guide_weight: Annotated[float, Field(gt=0, description="Pull of the guides [nat / mm^2].")] = _DEFAULT.guide_weight
+    guide_mode: Annotated[
+        Literal["penalty", "interpolate"], Field(description="interpolate: every guide is met within guide_tolerance.")
+    ] = _DEFAULT.guide_mode
+    guide_tolerance: Annotated[float, Field(gt=0, description="Largest miss of an interpolated guide [mm].")] = (
+        _DEFAULT.guide_tolerance
+    )
+    sensitivity: Annotated[
+        Literal["adjoint", "direct", "finite-difference"],
+        Field(description="Gradient; the last two are slow, for comparison."),
+    ] = _DEFAULT.sensitivity
     max_iterations: Annotated[int, Field(ge=1, description="Iterations per round.")] = _DEFAULT.max_iterations
     relative_decrease: Annotated[
         float,
@@ -76,15 +118,20 @@ class Config(StageConfig):
 
 
 def run(
-    *, surface: dict[str, BSplineSurface], transform: dict[str, Floats], cfg: Config, ctx: Context
+    *,
+    surface: dict[str, Spline],
+    transform: dict[str, Floats],
+    landmarks: dict[str, Landmarks] | None,
+    cfg: Config,
+    ctx: Context,
 ) -> dict[str, Any]:
     """Optimize, prove, and carry the result back to the scans."""
     ids = tuple(sorted(surface))
-    options = EngineOptions(
-        **cfg.model_dump(exclude={"lambda_cut", "reference"}),
-        lambda_cut=None if cfg.lambda_cut == "auto" else cfg.lambda_cut,
-        reference=_reference(cfg.reference, ids),
-    )
+    splines = [surface[i] for i in ids]
+    chosen = cfg.model_dump(exclude={"lambda_cut", "reference", "boundary", "guides"})
+    chosen["lambda_cut"] = None if cfg.lambda_cut == "auto" else cfg.lambda_cut
+    chosen["boundary"] = _boundary(cfg.boundary, splines)
+    options = EngineOptions(**chosen, reference=_reference(cfg.reference, ids))
     start = time.perf_counter()
     elapsed: list[float] = []
 
@@ -93,14 +140,12 @@ def run(
         text = f"description length {row['description_length']:.3f}, smallest Jacobian bound {row['min_jacobian']:.3f}"
         ctx.progress(int(row["iteration"]), _expected(cfg), text)
 
-    result = optimize_correspondence([surface[i] for i in ids], options, record=record)
+    result = optimize_correspondence(splines, options, guides=_guides(cfg.guides, ids, landmarks), record=record)
     optimum = result.value
     if result.status == "out-of-iterations":
         ctx.warn(
             f"the last round stopped at {cfg.max_iterations} iterations before it settled; raise optimize.max_iterations"
         )
-    correspondence = _correspondence(optimum, ids, transform, cfg)
-    certificate = _certificate(optimum, ids)
     before, after = optimum.description_length
     for name, value in (
         ("description_length_before", before),
@@ -110,27 +155,36 @@ def run(
         ("n_evaluations", result.n_evaluations),
         ("smallest_jacobian_bound", min(c.lower_bound for c in optimum.certificates)),
         ("reference", ids[optimum.reference] if optimum.reference >= 0 else "none"),
+        ("boundary", options.boundary),
     ):
         ctx.metric(name, value)
-    refuted = [i for i, c in zip(ids, optimum.certificates, strict=True) if c.verdict != "proved"]
-    if refuted:
+    if optimum.guide_residuals.size:
+        ctx.metric("largest_guide_residual_mm", float(np.nanmax(optimum.guide_residuals)))
+    unproved = [i for i, c in zip(ids, optimum.certificates, strict=True) if c.verdict != "proved"]
+    if unproved:
         raise FoldoverError(
-            f"the reparameterization of {', '.join(refuted)} is not proved one-to-one",
-            "raise the last of optimize.barriers",
+            f"the reparameterization of {', '.join(unproved)} is not proved one-to-one",
+            "use form: bezier, or raise the last of optimize.barriers",
         )
+    correspondence = _correspondence(optimum, ids, splines, transform, options)
     history = {key: values.tolist() for key, values in result.history.items()}
     columns = {"iteration": [int(k) for k in history.pop("iteration")], "elapsed_s": elapsed, **history}
-    corresponded = {}
-    for i, points, matrix in zip(ids, correspondence.points_scan, correspondence.transform, strict=True):
-        mirrored = np.linalg.det(matrix[:3, :3]) < 0
-        faces = correspondence.faces[:, ::-1] if mirrored else correspondence.faces
-        corresponded[i] = TriMesh(points, faces)
+    comment = "description_length [nat], in the pose of the moment; elapsed_s is a timing and differs from run to run"
     return {
         "correspondence": correspondence,
-        "certificate": certificate,
-        "history": Table(columns, "description_length in nat; elapsed_s is a timing and differs from run to run"),
-        "corresponded": corresponded,
+        "certificate": _certificate(optimum, ids),
+        "history": Table(columns, comment),
+        "corresponded": _corresponded(correspondence),
     }
+
+
+def _boundary(choice: str, splines: list[Spline]) -> Any:
+    if choice != "auto":
+        return choice
+    closed = [bool(np.allclose(s.control_points[0], s.control_points[-1], rtol=0, atol=1e-9)) for s in splines]
+    if any(closed) and not all(closed):
+        raise ConfigError(f"{sum(closed)} of {len(closed)} shapes are closed, the others open", "set optimize.boundary")
+    return "periodic" if all(closed) else "fixed"
 
 
 def _expected(cfg: Config) -> int:
@@ -146,18 +200,42 @@ def _reference(choice: str, ids: tuple[str, ...]) -> Any:
     return ids.index(choice)
 
 
+def _guides(
+    names: tuple[str, ...], ids: tuple[str, ...], landmarks: dict[str, Landmarks] | None
+) -> list[dict[str, Floats]] | None:
+    """Return the chosen landmarks per shape; every chosen name must be known to some shape."""
+    if not names:
+        return None
+    known = landmarks or {}
+    have = {n for i in ids if i in known for n in known[i].points}
+    missing = [n for n in names if n not in have]
+    if missing:
+        raise ConfigError(
+            f"optimize.guides: no shape has a landmark '{missing[0]}'",
+            f"one of: {', '.join(sorted(have)) or 'none were given'}",
+        )
+    return [{n: p for n, p in known[i].points.items() if n in names} if i in known else {} for i in ids]
+
+
 def _correspondence(
-    optimum: Optimum, ids: tuple[str, ...], transform: dict[str, Floats], cfg: Config
+    optimum: Optimum, ids: tuple[str, ...], splines: list[Spline], transform: dict[str, Floats], options: EngineOptions
 ) -> Correspondence:
+    d = splines[0].dimension
     matrices = np.repeat(np.eye(4)[None], len(ids), axis=0)
-    matrices[:, :3, :3] = optimum.alignment.rotation
-    matrices[:, :3, 3] = optimum.alignment.translation
+    matrices[:, :d, :d] = optimum.alignment.rotation
+    matrices[:, :d, 3] = optimum.alignment.translation
     matrices = matrices @ np.stack([transform[i] for i in ids])
     back = np.linalg.inv(matrices)
 
     def to_scan(points: Floats) -> Floats:
-        return points @ np.swapaxes(back[:, :3, :3], 1, 2) + back[:, None, :3, 3]
+        return points @ np.swapaxes(back[:, :d, :d], 1, 2) + back[:, None, :d, 3]
 
+    periodic = options.boundary == "periodic"
+    grid = options.landmarks
+    if len(grid) == 2:
+        faces, topology = grid_faces(grid[0], grid[1], periodic_u=periodic), "tube" if periodic else "disk"
+    else:
+        faces, topology = np.empty((0, 3), dtype=np.int64), "curve-closed" if periodic else "curve-open"
     return Correspondence(
         ids=ids,
         points=optimum.points,
@@ -167,9 +245,9 @@ def _correspondence(
         transform=matrices,
         scale=optimum.alignment.scale,
         parameters=optimum.parameters,
-        grid=cfg.landmarks,
-        faces=grid_faces(*cfg.landmarks),
-        topology="disk",
+        grid=grid,
+        faces=faces,
+        topology=topology,
         reference=optimum.reference,
         description_length=np.array(optimum.description_length),
         lambda_cut=optimum.lambda_cut,
@@ -179,8 +257,20 @@ def _correspondence(
     )
 
 
+def _corresponded(correspondence: Correspondence) -> dict[str, TriMesh]:
+    """Return one surface per shape in scan coordinates; mirrored shapes get the same triangles, wound outward."""
+    if len(correspondence.faces) == 0 or correspondence.points.shape[2] != 3:
+        return {}
+    out = {}
+    for i, points, matrix in zip(correspondence.ids, correspondence.points_scan, correspondence.transform, strict=True):
+        mirrored = np.linalg.det(matrix[:3, :3]) < 0
+        faces: Ints = correspondence.faces[:, ::-1] if mirrored else correspondence.faces
+        out[i] = TriMesh(points, faces)
+    return out
+
+
 def _certificate(optimum: Optimum, ids: tuple[str, ...]) -> dict[str, Any]:
-    method = "smallest Bernstein coefficient of det dD/du over the unit square, bisected until proved or refuted, rounding included"
+    method = "smallest Bernstein coefficient of det dD/du over the domain, bisected until proved or refuted, rounding included"
     return {
         "quantity": "lower bound of det dD/du over the whole parameter domain",
         "method": method,
@@ -201,10 +291,10 @@ def _certificate(optimum: Optimum, ids: tuple[str, ...]) -> dict[str, Any]:
 STAGE = Stage(
     name="optimize",
     scope="cohort",
-    version=1,
+    version=2,
     config=Config,
     run=run,
-    inputs=(Port("surface", "surface"), Port("transform", "transform")),
+    inputs=(Port("surface", "surface"), Port("transform", "transform"), Port("landmarks", "landmarks", optional=True)),
     outputs=(
         Port("correspondence", "correspondence"),
         Port("certificate", "json"),

@@ -15,13 +15,13 @@ class Alignment:
 
     Parameters
     ----------
-    rotation : (n_S, 3, 3)
+    rotation : (n_S, d, d)
         Proper rotations.
-    translation : (n_S, 3)
+    translation : (n_S, d)
         ``x -> R x + t`` moves shape i; its centroid goes to the common centroid.
     scale : (n_S,)
         Factors about the common centroid that give all shapes the mean centroid size; ones when sizes are kept.
-    centre : (3,)
+    centre : (d,)
         The common centroid.
     """
 
@@ -32,7 +32,7 @@ class Alignment:
 
 
 def rotation_between(source: Floats, target: Floats, weights: Floats) -> Floats:
-    """Return the proper rotation that best turns centred ``source`` (n, 3) into centred ``target`` (Kabsch 1976).
+    """Return the proper rotation that best turns centred ``source`` (n, d) into centred ``target`` (Kabsch 1976).
 
     Examples
     --------
@@ -42,7 +42,7 @@ def rotation_between(source: Floats, target: Floats, weights: Floats) -> Floats:
     """
     u, _, vt = np.linalg.svd(target.T @ (weights[:, None] * source))
     sign = np.sign(np.linalg.det(u @ vt))
-    return np.asarray(u @ np.diag([1.0, 1.0, sign]) @ vt)
+    return np.asarray(u @ np.diag([1.0] * (len(vt) - 1) + [sign]) @ vt)
 
 
 def generalized_procrustes(
@@ -52,7 +52,7 @@ def generalized_procrustes(
 
     Parameters
     ----------
-    points : (n_S, n_P, 3) float64
+    points : (n_S, n_P, d) float64
     weights : (n_P,) float64
         Sum 1; area weights make the result independent of the landmark density.
     remove_size : bool
@@ -71,7 +71,7 @@ def generalized_procrustes(
     sizes = np.sqrt(np.einsum("l,ild,ild->i", weights, centred, centred))
     scale = sizes.mean() / sizes if remove_size else np.ones(n_shapes)
     scaled = centred * scale[:, None, None]
-    rotation = np.repeat(np.eye(3)[None], n_shapes, axis=0)
+    rotation = np.repeat(np.eye(points.shape[2])[None], n_shapes, axis=0)
     start = scaled.mean(axis=0)
     mean = start
     for _ in range(n_iterations):

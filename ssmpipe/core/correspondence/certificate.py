@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import comb
 
 from ssmpipe.core.arrays import Floats
-from ssmpipe.core.correspondence.jacobian import BezierJacobian
+from ssmpipe.core.correspondence.jacobian import Jacobian
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
 
 Verdict = Literal["proved", "refuted", "undecided"]
@@ -42,7 +42,7 @@ def certify(coefficients: Floats, reparameterization: Reparameterization, *, max
 
     Parameters
     ----------
-    coefficients : (n_b1, n_b2, 2) float64
+    coefficients : (*n_coefficients, d_par) float64
         Of ``D``.
     reparameterization : Reparameterization
     max_subdivisions : int, default=12
@@ -63,19 +63,18 @@ def certify(coefficients: Floats, reparameterization: Reparameterization, *, max
     >>> certify(D.identity(), D).verdict
     'proved'
     """
-    jacobian = BezierJacobian(reparameterization.knots, reparameterization.degree)
+    jacobian = Jacobian(reparameterization)
     patches = jacobian.patches(jacobian.coefficients(coefficients[None]))[0]
-    m = jacobian.degree + 1
-    patches = patches.reshape(-1, m, m)
     slope = max(jacobian.n_spans) * reparameterization.degree
     rounding = 1e-13 * max(1.0, float(np.abs(patches).max()), slope**2 * float(np.abs(coefficients).max()) ** 2)
     left, right = _bisection(jacobian.degree)
+    inner = tuple(range(1, patches.ndim))
     lower = np.inf
     seen = np.inf
     for level in range(max_subdivisions + 1):
-        corners = patches[:, [0, 0, -1, -1], [0, -1, 0, -1]]
+        corners = patches[:, [0, -1]] if patches.ndim == 2 else patches[:, [0, 0, -1, -1], [0, -1, 0, -1]]
         seen = min(seen, float(corners.min()))
-        smallest = patches.min(axis=(1, 2))
+        smallest = patches.min(axis=inner)
         if seen <= 0:
             return Certificate(float(min(smallest.min(), lower)) - rounding, seen, "refuted", level)
         positive = smallest > rounding
@@ -85,8 +84,11 @@ def certify(coefficients: Floats, reparameterization: Reparameterization, *, max
             return Certificate(lower - rounding, seen, "proved", level)
         patches = patches[~positive]
         if level < max_subdivisions:
-            halves = np.concatenate([left @ patches, right @ patches])
-            patches = np.concatenate([halves @ left.T, halves @ right.T])
+            if patches.ndim == 2:
+                patches = np.concatenate([patches @ left.T, patches @ right.T])
+            else:
+                halves = np.concatenate([left @ patches, right @ patches])
+                patches = np.concatenate([halves @ left.T, halves @ right.T])
     return Certificate(float(patches.min()) - rounding, seen, "undecided", max_subdivisions)
 
 

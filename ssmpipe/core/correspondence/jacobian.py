@@ -1,18 +1,25 @@
-"""The Jacobian determinant of a B-spline reparameterization in Bézier form.
+"""The Jacobian determinant of a B-spline reparameterization as a finite list of numbers: Bernstein, B-spline or sampled.
 
-``J = det dD/du`` is a piecewise polynomial of degree ``2p - 1`` per direction. On every knot-span rectangle it is given
-exactly by its values at ``2p x 2p`` nodes, hence by ``2p x 2p`` Bernstein coefficients, and the smallest coefficient
-bounds it from below (Li 2015, [2.10] and appendix C).
+``J = det dD/du`` is a piecewise polynomial of degree ``2p - 1`` per direction (``p - 1`` for curves). Its values at a few
+nodes per span determine it, so every form is one linear map of node values: Bernstein coefficients per span (Li 2015, [2.10]
+and appendix C), B-spline coefficients on the knots of ``J`` [2.8, 2.9], or the values at the landmarks themselves [2.11]. The
+first two bound ``J`` from below over the whole domain; sampling does not.
 """
 
 from __future__ import annotations
+
+from typing import Literal
 
 import numpy as np
 from scipy.special import comb
 
 from ssmpipe.core.arrays import Floats
+from ssmpipe.core.correspondence.direction import Direction, apply_directions
+from ssmpipe.core.correspondence.reparameterization import Reparameterization
+from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.spline.basis import design_matrix
-from ssmpipe.core.spline.knots import breakpoints
+
+JacobianForm = Literal["bezier", "bspline", "sampled"]
 
 
 def bernstein_matrix(t: Floats, degree: int) -> Floats:
@@ -24,80 +31,148 @@ def bernstein_matrix(t: Floats, degree: int) -> Floats:
     array([[0.25, 0.5 , 0.25]])
     """
     k = np.arange(degree + 1)
-    return comb(degree, k) * t[:, None] ** k * (1.0 - t[:, None]) ** (degree - k)
+    return np.asarray(comb(degree, k) * t[:, None] ** k * (1.0 - t[:, None]) ** (degree - k))
 
 
-class BezierJacobian:
-    """Bernstein coefficients of ``det dD/du`` for many shapes at once, with their transpose.
+def _span_nodes(direction: Direction, degree: int) -> tuple[Floats, Floats]:
+    """Return Chebyshev nodes inside every span, (n_spans * (degree + 1),), and their local coordinates."""
+    t = 0.5 - 0.5 * np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
+    ends = direction.breakpoints
+    return (ends[:-1, None] + np.diff(ends)[:, None] * t).ravel(), t
+
+
+class Jacobian:
+    """Coefficients of ``det dD/du`` in one form, for many shapes at once, with their derivatives.
 
     Parameters
     ----------
-    knots : (knots_u, knots_v)
-        Clamped knot vectors of ``D``.
+    reparameterization : Reparameterization
+    form : {"bezier", "bspline", "sampled"}, default="bezier"
+        ``sampled`` takes the nodes of the reparameterization.
+
+    Attributes
+    ----------
     degree : int
-        Degree p of ``D``; the Jacobian has degree ``2p - 1``.
+        Polynomial degree of J per direction.
+    n : int
+        Number of coefficients per shape.
+
+    Raises
+    ------
+    GeometryError
+        For the B-spline form of a periodic map, which is not implemented; its Bernstein form is tighter anyway.
+
+    Notes
+    -----
+    ``J`` is only ``p - 2`` times continuously differentiable across a knot, so its B-spline form needs ``p + 1`` equal
+    interior knots; with p = 2 the two forms hold the same numbers, in the Bernstein form each shared one twice.
 
     Examples
     --------
-    >>> from ssmpipe.core.correspondence.reparameterization import Reparameterization
     >>> D = Reparameterization((5, 5), (3, 3))
-    >>> J = BezierJacobian(D.knots, 2).coefficients(D.identity()[None])
+    >>> J = Jacobian(D).coefficients(D.identity()[None])
     >>> J.shape, bool(np.allclose(J, 1))
     ((1, 144), True)
     """
 
-    def __init__(self, knots: tuple[Floats, ...], degree: int) -> None:
-        self.degree = 2 * degree - 1
-        m = 2 * degree
-        t = 0.5 - 0.5 * np.cos(np.pi * (np.arange(m) + 0.5) / m)
-        to_bernstein = np.linalg.inv(bernstein_matrix(t, self.degree))
+    def __init__(self, reparameterization: Reparameterization, form: JacobianForm = "bezier") -> None:
+        self.form = form
+        self.n_directions = reparameterization.n_directions
+        p = reparameterization.degree
+        self.degree = p - 1 if self.n_directions == 1 else 2 * p - 1
         values, slopes, extract = [], [], []
-        for knot in knots:
-            ends = breakpoints(knot)
-            nodes = (ends[:-1, None] + np.diff(ends)[:, None] * t).ravel()
-            values.append(design_matrix(nodes, knot, degree))
-            slopes.append(design_matrix(nodes, knot, degree, 1))
-            extract.append(np.kron(np.eye(len(ends) - 1), to_bernstein))
-        self.n_spans = tuple(len(breakpoints(k)) - 1 for k in knots)
-        self._values, self._slopes, self._extract = tuple(values), tuple(slopes), tuple(extract)
+        for axis, direction in enumerate(reparameterization.directions):
+            if form == "sampled":
+                nodes = reparameterization.nodes[axis]
+                extraction = np.eye(len(nodes))
+            else:
+                nodes, t = _span_nodes(direction, self.degree)
+                if form == "bezier":
+                    extraction = np.kron(np.eye(direction.n_spans), np.linalg.inv(bernstein_matrix(t, self.degree)))
+                else:
+                    extraction = self._bspline_extraction(direction, nodes, p)
+            values.append(direction.matrix(nodes))
+            slopes.append(direction.matrix(nodes, 1))
+            extract.append(extraction)
+        self.n_spans = tuple(d.n_spans for d in reparameterization.directions)
+        self.shape = tuple(e.shape[0] for e in extract)
+        self.n = int(np.prod(self.shape))
+        self._identity = reparameterization.identity()
+        self._extract = tuple(extract)
+        self._back = tuple(e.T for e in extract)
+        self._mixed = tuple(
+            tuple(slopes[k] if k == axis else values[k] for k in range(self.n_directions))
+            for axis in range(self.n_directions)
+        )
 
-    def _gradients(self, coefficients: Floats) -> tuple[Floats, Floats]:
-        """Return ``D_u`` and ``D_v`` at the nodes, each (n_S, 2, n_nodes_u, n_nodes_v)."""
-        c = np.moveaxis(coefficients, -1, 1)
-        return self._slopes[0] @ c @ self._values[1].T, self._values[0] @ c @ self._slopes[1].T
+    def _bspline_extraction(self, direction: Direction, nodes: Floats, p: int) -> Floats:
+        if direction.periodic:
+            raise GeometryError(
+                "the B-spline form of the Jacobian is for fixed and sliding boundaries", "use the bezier form"
+            )
+        multiplicity = 1 if self.n_directions == 1 else p + 1
+        inner = np.repeat(direction.breakpoints[1:-1], multiplicity)
+        knots = np.concatenate([np.zeros(self.degree + 1), inner, np.ones(self.degree + 1)])
+        return np.asarray(np.linalg.pinv(design_matrix(nodes, knots, self.degree)))
+
+    # -- values --------------------------------------------------------------------------------------------------------
+
+    def _gradients(self, displacement: Floats, *, with_identity: bool) -> list[Floats]:
+        """Return dD/du_k at the nodes, (n_S, d_par, *nodes) each."""
+        moved = np.moveaxis(displacement, -1, 1)
+        out = []
+        for axis in range(self.n_directions):
+            g = apply_directions(self._mixed[axis], moved)
+            if with_identity:
+                g[:, axis] += 1.0
+            out.append(g)
+        return out
+
+    @staticmethod
+    def _det(g: list[Floats]) -> Floats:
+        return g[0][:, 0] if len(g) == 1 else g[0][:, 0] * g[1][:, 1] - g[0][:, 1] * g[1][:, 0]
 
     def coefficients(self, coefficients: Floats) -> Floats:
-        """Return the (n_S, n_z) Bernstein coefficients of J from the (n_S, n_b1, n_b2, 2) coefficients of D."""
-        du, dv = self._gradients(coefficients)
-        det = du[:, 0] * dv[:, 1] - du[:, 1] * dv[:, 0]
-        return (self._extract[0] @ det @ self._extract[1].T).reshape(len(det), -1)
+        """Return the (n_S, n) coefficients of J from the (n_S, *n_b, d_par) coefficients of D."""
+        det = self._det(self._gradients(coefficients - self._identity, with_identity=True))
+        return apply_directions(self._extract, det).reshape(len(det), -1)
 
     def patches(self, flat: Floats) -> Floats:
-        """Reshape (n_S, n_z) coefficients to (n_S, n_spans_u, n_spans_v, 2p, 2p)."""
+        """Reshape (n_S, n) Bernstein coefficients to (n_S, n_cells, m[, m]), ``m = degree + 1``."""
         m = self.degree + 1
-        return flat.reshape(-1, self.n_spans[0], m, self.n_spans[1], m).transpose(0, 1, 3, 2, 4)
+        if self.n_directions == 1:
+            return flat.reshape(-1, self.n_spans[0], m)
+        split = flat.reshape(-1, self.n_spans[0], m, self.n_spans[1], m).transpose(0, 1, 3, 2, 4)
+        return split.reshape(len(flat), -1, m, m)
+
+    # -- derivatives ---------------------------------------------------------------------------------------------------
 
     def pull_back(self, coefficients: Floats, weights: Floats) -> Floats:
-        """Return ``sum_z weights_z dJ_z/db``, shape of ``coefficients``; ``weights`` is (n_S, n_z)."""
-        du, dv = self._gradients(coefficients)
-        n = (len(coefficients), self._extract[0].shape[0], self._extract[1].shape[0])
-        back = self._extract[0].T @ weights.reshape(n) @ self._extract[1]
-        grad = np.empty_like(np.moveaxis(coefficients, -1, 1))
-        su, sv, vu, vv = self._slopes[0], self._slopes[1], self._values[0], self._values[1]
-        grad[:, 0] = su.T @ (back * dv[:, 1]) @ vv - vu.T @ (back * du[:, 1]) @ sv
-        grad[:, 1] = vu.T @ (back * du[:, 0]) @ sv - su.T @ (back * dv[:, 0]) @ vv
-        return np.moveaxis(grad, 1, -1)
+        """Return ``sum_z weights_z dJ_z/db``, shape of ``coefficients``; ``weights`` is (n_S, n)."""
+        back = apply_directions(self._back, weights.reshape(-1, *self.shape))
+        if self.n_directions == 1:
+            return (back @ self._mixed[0][0])[..., None]
+        du, dv = self._gradients(coefficients - self._identity, with_identity=True)
+        (su, vv), (vu, sv) = self._mixed
+        gx = su.T @ (back * dv[:, 1]) @ vv - vu.T @ (back * du[:, 1]) @ sv
+        gy = vu.T @ (back * du[:, 0]) @ sv - su.T @ (back * dv[:, 0]) @ vv
+        return np.stack([gx, gy], axis=-1)
 
     def along(self, coefficients: Floats, direction: Floats, current: Floats) -> tuple[Floats, Floats]:
         """Return ``J1, J2`` with ``J(b + a d) = J(b) + a J1 + a^2 J2`` exactly; ``current`` is ``J(b)``."""
-        second = self.coefficients(direction)
-        first = self.coefficients(coefficients + direction) - current - second
-        return first, second
+        total = self.coefficients(coefficients + direction) - current
+        if self.n_directions == 1:
+            return total, np.zeros_like(total)
+        det = self._det(self._gradients(direction, with_identity=False))
+        second = apply_directions(self._extract, det).reshape(len(det), -1)
+        return total - second, second
 
     def rows(self, coefficients: Floats) -> Floats:
-        """Return dJ_z/db of one shape, (n_z, n_b1 * n_b2 * 2), for Gauss-Newton blocks."""
-        du, dv = self._gradients(coefficients[None])
-        su, sv, vu, vv = self._slopes[0], self._slopes[1], self._values[0], self._values[1]
+        """Return dJ_z/db of one shape, (n, n_b1 [* n_b2 * 2]), for Gauss-Newton blocks."""
+        if self.n_directions == 1:
+            return np.asarray(self._extract[0] @ self._mixed[0][0])
+        du, dv = self._gradients((coefficients - self._identity)[None], with_identity=True)
+        (su, vv), (vu, sv) = self._mixed
 
         def term(left: Floats, right: Floats, factor: Floats) -> Floats:
             node = np.einsum("ka,lb,kl->klab", left, right, factor, optimize=True)
@@ -106,7 +181,7 @@ class BezierJacobian:
 
         x = term(su, vv, dv[0, 1]) - term(vu, sv, du[0, 1])
         y = term(vu, sv, du[0, 0]) - term(su, vv, dv[0, 0])
-        return np.stack([x, y], axis=-1).reshape(x.shape[0] * x.shape[1], -1)
+        return np.stack([x, y], axis=-1).reshape(self.n, -1)
 
 
 def largest_feasible_step(current: Floats, first: Floats, second: Floats) -> float:

@@ -1,4 +1,4 @@
-"""The objective of the group optimization: description length, smoothness prior and barrier, with gradients."""
+"""The objective of the group optimization: a spectral function, a smoothness prior, guides and a barrier, with gradients."""
 
 from __future__ import annotations
 
@@ -10,49 +10,58 @@ import numpy as np
 import scipy.linalg
 
 from ssmpipe.core.arrays import Floats
+from ssmpipe.core.correspondence.barrier import Barrier
 from ssmpipe.core.correspondence.covariance import Spectrum, spectral_adjoint, spectrum
-from ssmpipe.core.correspondence.description_length import description_length, description_length_slope
-from ssmpipe.core.correspondence.jacobian import BezierJacobian, largest_feasible_step
-from ssmpipe.core.correspondence.prior import thin_plate_matrix
+from ssmpipe.core.correspondence.guides import Guides
+from ssmpipe.core.correspondence.jacobian import Jacobian, JacobianForm, largest_feasible_step
+from ssmpipe.core.correspondence.measure import size_weights, size_weights_adjoint
+from ssmpipe.core.correspondence.prior import bending_matrix
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
-from ssmpipe.core.correspondence.weights import MeanAreaWeights
-from ssmpipe.core.spline.evaluate import SplineStack
+from ssmpipe.core.correspondence.spectral import SpectralFunction
+from ssmpipe.core.spline.evaluate import Jet, SplineStack
 
-Covariance = Literal["discrete", "II"]
+Covariance = Literal["discrete", "I", "II"]
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """What one evaluation of the cohort knows: kept for the preconditioner and the records."""
+    """What one evaluation of the cohort knows: kept for the gradient, the preconditioner and the records."""
 
-    points: Floats
-    derivative_u: Floats
-    derivative_v: Floats
+    jet: Jet
+    slopes: tuple[Floats, ...]
     weights: Floats
+    mean_tangents: tuple[Floats, ...]
     spectrum: Spectrum
-    d_gram: Floats
 
 
 class GroupObjective:
-    """``f(b) = description length + prior - mu * mean log(J - floor)`` over all moving shapes.
+    """``f(b) = sum phi(lambda_m) + prior + guides + mu * barrier`` over all moving shapes.
 
     Parameters
     ----------
     stack : SplineStack
-        The cohort's surfaces, posed (and scaled) as the objective shall see them.
+        The cohort's splines, posed (and scaled) as the objective shall see them.
     reparameterization : Reparameterization
-    lambda_cut : float
-        Of the description length [mm^2].
-    covariance : {"discrete", "II"}, default="discrete"
-        Equal weights, or area weights of the mean shape with their exact derivative.
+        Its nodes are the landmarks of the covariance.
+    spectral : SpectralFunction
+    base_weights : (n_P,) float64, optional
+        Quadrature weights of the nodes; equal by default.
+    covariance : {"discrete", "I", "II"}, default="discrete"
+        ``discrete`` and ``I`` use the base weights; ``II`` multiplies them by the size element of the mean shape, and the
+        gradient holds the derivative of these weights.
     prior : float, default=0
-        Weight of the thin-plate energy of every ``D_i`` [nat].
+        Weight of the bending energy of every ``D_i`` [nat].
     barrier : float, default=1
-        Weight ``mu`` of the logarithmic barrier on the Bernstein coefficients of every Jacobian [nat].
-    floor : float, default=0
-        The barrier keeps every Bernstein coefficient above it.
+        Weight ``mu`` of the barrier [nat].
+    constraint : Barrier, optional
+    form : {"bezier", "bspline", "sampled"}, default="bezier"
+        Form of the Jacobian that the barrier sees.
+    guides : Guides, optional
+        Named landmarks that pull.
     reference : int, default=-1
-        Shape whose ``D`` stays the identity; -1 lets all move.
+        Shape whose ``D`` stays the identity; with -1 all shapes move and the mean of all displacements stays zero.
+    other_gradient : callable, optional
+        ``(objective, x) -> gradient`` of the spectral part in place of the adjoint, for comparison.
 
     Notes
     -----
@@ -64,28 +73,35 @@ class GroupObjective:
         self,
         stack: SplineStack,
         reparameterization: Reparameterization,
+        spectral: SpectralFunction,
         *,
-        lambda_cut: float,
+        base_weights: Floats | None = None,
         covariance: Covariance = "discrete",
         prior: float = 0.0,
         barrier: float = 1.0,
-        floor: float = 0.0,
+        constraint: Barrier | None = None,
+        form: JacobianForm = "bezier",
+        guides: Guides | None = None,
         reference: int = -1,
+        other_gradient: Callable[[GroupObjective, Floats], Floats] | None = None,
     ) -> None:
         self.stack = stack
         self.reparameterization = reparameterization
-        self.lambda_cut = lambda_cut
+        self.spectral = spectral
+        self.covariance = covariance
         self.prior = prior
         self.barrier = barrier
-        self.floor = floor
+        self.constraint = constraint or Barrier()
+        self.guides = guides
+        self.reference = reference
+        self.other_gradient = other_gradient
         self.moving = np.array([i for i in range(stack.n_shapes) if i != reference])
-        self.jacobian = BezierJacobian(reparameterization.knots, reparameterization.degree)
-        self._weights = MeanAreaWeights(reparameterization.grid) if covariance == "II" else None
-        self._plate = thin_plate_matrix(reparameterization)
+        self.jacobian = Jacobian(reparameterization, form)
+        n_p = int(np.prod(reparameterization.grid))
+        self._base = np.full(n_p, 1.0 / n_p) if base_weights is None else base_weights
+        self._bending = bending_matrix(reparameterization)
         self._free = reparameterization.free
         self._identity = reparameterization.identity()
-        n_p = int(np.prod(reparameterization.grid))
-        self._uniform = np.full(n_p, 1.0 / n_p)
         self._last: tuple[bytes, Evaluation] | None = None
 
     # -- unknowns ------------------------------------------------------------------------------------------------------
@@ -94,8 +110,12 @@ class GroupObjective:
         """Return the unknowns of the identity."""
         return np.tile(self._identity[self._free], len(self.moving))
 
+    def unknowns(self, coefficients: Floats) -> Floats:
+        """Return the unknowns of (n_S, *n_b, d_par) coefficients."""
+        return coefficients[self.moving][:, self._free].ravel()
+
     def coefficients(self, x: Floats) -> Floats:
-        """Return the (n_S, n_b1, n_b2, 2) coefficients of all shapes."""
+        """Return the (n_S, *n_b, d_par) coefficients of all shapes."""
         out = np.repeat(self._identity[None], self.stack.n_shapes, axis=0)
         moving = out[self.moving]
         moving[:, self._free] = x.reshape(len(self.moving), -1)
@@ -107,107 +127,144 @@ class GroupObjective:
         out[:, self._free] = direction.reshape(len(self.moving), -1)
         return out
 
+    def _keep_gauge(self, vector: Floats) -> Floats:
+        """Remove the mean over the shapes when all of them move."""
+        if self.reference >= 0:
+            return vector
+        rows = vector.reshape(len(self.moving), -1)
+        return (rows - rows.mean(axis=0)).ravel()
+
     # -- value and gradient --------------------------------------------------------------------------------------------
 
-    def evaluate(self, x: Floats) -> tuple[Evaluation, Floats]:
-        """Evaluate the cohort at ``x``; also return the coefficients."""
-        coefficients = self.coefficients(x)
+    def evaluate(self, x: Floats) -> Evaluation:
+        """Evaluate the cohort at ``x``; the last evaluation is remembered."""
         key = x.tobytes()
         if self._last is not None and self._last[0] == key:
-            return self._last[1], coefficients
-        jet = self.stack.evaluate(self.reparameterization.evaluate(coefficients))
-        points = jet.points
-        mean = points.mean(axis=0)
-        weights = self._uniform if self._weights is None else self._weights.value(mean)
-        spec = spectrum(points - mean, weights)
-        d_gram = (spec.vectors * self._slope(spec.eigenvalues)) @ spec.vectors.T
-        evaluation = Evaluation(points, *jet.first, weights, spec, d_gram)
+            return self._last[1]
+        coefficients = self.coefficients(x)
+        parameters = self.reparameterization.evaluate(coefficients)
+        second = self.covariance == "II"
+        jet = self.stack.evaluate(parameters, second=second)
+        slopes: tuple[Floats, ...] = ()
+        tangents: tuple[Floats, ...] = ()
+        weights = self._base
+        if second:
+            slopes = self.reparameterization.slopes(coefficients)
+            tangents = tuple(
+                sum(np.einsum("ild,il->ld", jet.first[c], slope[..., c]) for c in range(len(jet.first)))
+                / self.stack.n_shapes
+                for slope in slopes
+            )
+            weights = size_weights(self._base, tangents)
+        spec = spectrum(jet.points - jet.points.mean(axis=0), weights)
+        evaluation = Evaluation(jet, slopes, weights, tangents, spec)
         self._last = (key, evaluation)
-        return evaluation, coefficients
+        return evaluation
 
-    def _slope(self, eigenvalues: Floats) -> Floats:
-        return description_length_slope(eigenvalues, self.lambda_cut)
-
-    def description_length(self, x: Floats) -> float:
-        """Return the description length alone [nat]."""
-        return description_length(self.evaluate(x)[0].spectrum.eigenvalues, self.lambda_cut)
+    def spectral_value(self, x: Floats) -> float:
+        """Return the spectral function alone."""
+        return self.spectral.value(self.evaluate(x).spectrum.eigenvalues)
 
     def smallest_jacobian(self, x: Floats) -> float:
-        """Return the smallest Bernstein coefficient of all Jacobians: a lower bound of ``det dD/du``."""
+        """Return the smallest coefficient of all Jacobians; in the Bernstein form a lower bound of ``det dD/du``."""
         return float(self.jacobian.coefficients(self.coefficients(x)[self.moving]).min())
 
-    def description_length_gradient(self, x: Floats) -> tuple[float, Floats]:
-        """Return the description length and its gradient in the unknowns."""
-        evaluation, _ = self.evaluate(x)
-        points = evaluation.points
-        centred = points - points.mean(axis=0)
-        d_points, d_weights, _ = spectral_adjoint(centred, evaluation.weights, evaluation.spectrum, self._slope)
-        if self._weights is not None:
-            d_points = d_points + self._weights.pull_back(points.mean(axis=0), d_weights) / len(points)
-        d_parameters = np.stack(
-            [
-                np.einsum("ild,ild->il", d_points, evaluation.derivative_u),
-                np.einsum("ild,ild->il", d_points, evaluation.derivative_v),
-            ],
-            axis=-1,
-        )
-        pulled = self.reparameterization.pull_back(d_parameters[self.moving])
-        return description_length(evaluation.spectrum.eigenvalues, self.lambda_cut), pulled[:, self._free].ravel()
+    def spectral_gradient(self, x: Floats) -> tuple[float, Floats]:
+        """Return the spectral function and its gradient in the unknowns, by the adjoint [2.20]."""
+        evaluation = self.evaluate(x)
+        jet = evaluation.jet
+        centred = jet.points - jet.points.mean(axis=0)
+        d_points, d_weights, _ = spectral_adjoint(centred, evaluation.weights, evaluation.spectrum, self.spectral.slope)
+        d_parameters = np.stack([np.einsum("ild,ild->il", d_points, s) for s in jet.first], axis=-1)
+        d_slopes: tuple[Floats, ...] = ()
+        if self.covariance == "II":
+            d_tangents = size_weights_adjoint(self._base, evaluation.mean_tangents, d_weights)
+            d_parameters = d_parameters + self._through_tangents(evaluation, d_tangents)
+            d_slopes = tuple(
+                np.stack([np.einsum("ld,ild->il", d, s) for s in jet.first], axis=-1) / self.stack.n_shapes
+                for d in d_tangents
+            )
+        moving = self.moving
+        pulled = self.reparameterization.pull_back(d_parameters[moving], tuple(d[moving] for d in d_slopes))
+        return self.spectral.value(evaluation.spectrum.eigenvalues), pulled[:, self._free].ravel()
+
+    def _through_tangents(self, evaluation: Evaluation, d_tangents: tuple[Floats, ...]) -> Floats:
+        """Return df/dD through ``dx/du_k = sum_c S_c(D) dD^c/du_k``: second derivatives of the splines."""
+        n = len(evaluation.jet.first)
+        out = np.zeros((*evaluation.jet.points.shape[:2], n))
+        for d_tangent, slope in zip(d_tangents, evaluation.slopes, strict=True):
+            for c in range(n):
+                for e in range(n):
+                    out[..., c] += np.einsum("ld,ild->il", d_tangent, evaluation.jet.second[c + e]) * slope[..., e]
+        return out / self.stack.n_shapes
 
     def value_and_gradient(self, x: Floats) -> tuple[float, Floats]:
-        """Return ``f`` and its gradient at a feasible ``x``."""
-        value, gradient = self.description_length_gradient(x)
+        """Return ``f`` and its gradient; infinite outside the feasible set."""
         moving = self.coefficients(x)[self.moving]
+        jacobians = self.jacobian.coefficients(moving)
+        penalty = self.constraint.value(jacobians) if self.barrier > 0 else 0.0
+        if not np.isfinite(penalty):
+            return np.inf, np.zeros_like(x)
+        if self.other_gradient is None:
+            value, gradient = self.spectral_gradient(x)
+        else:
+            value, gradient = self.spectral_value(x), self.other_gradient(self, x)
         extra = np.zeros_like(moving)
-        if self.prior > 0:
-            plate = self._plate_product(moving)
-            value += 0.5 * self.prior * float((plate * moving).sum())
-            extra += self.prior * plate
         if self.barrier > 0:
-            slack = self.jacobian.coefficients(moving) - self.floor
-            n_z = slack.shape[1]
-            value -= self.barrier / n_z * float(np.log(slack).sum())
-            extra -= self.jacobian.pull_back(moving, self.barrier / n_z / slack)
-        return value, gradient + extra[:, self._free].ravel()
+            value += self.barrier * penalty
+            extra += self.barrier * self.jacobian.pull_back(moving, self.constraint.slope(jacobians))
+        if self.prior > 0:
+            displacement = moving - self._identity
+            bent = self._bent(displacement)
+            value += 0.5 * self.prior * float((bent * displacement).sum())
+            extra += self.prior * bent
+        if self.guides is not None:
+            pull, d_pull = self.guides.value_and_gradient(self.coefficients(x))
+            value += pull
+            extra += d_pull[self.moving]
+        return value, self._keep_gauge(gradient + extra[:, self._free].ravel())
 
-    def _plate_product(self, moving: Floats) -> Floats:
-        flat = moving.reshape(len(moving), -1, 2)
-        return (self._plate @ flat).reshape(moving.shape)
+    def _bent(self, displacement: Floats) -> Floats:
+        flat = displacement.reshape(len(displacement), -1, displacement.shape[-1])
+        return (self._bending @ flat).reshape(displacement.shape)
 
     # -- feasibility and curvature -------------------------------------------------------------------------------------
 
     def largest_step(self, x: Floats, direction: Floats) -> float:
-        """Return how far ``direction`` can be followed before a Bernstein coefficient meets the floor; exact."""
+        """Return how far ``direction`` can be followed before a coefficient of a Jacobian meets the floor; exact."""
         moving = self.coefficients(x)[self.moving]
         current = self.jacobian.coefficients(moving)
         first, second = self.jacobian.along(moving, self._direction(direction), current)
-        return largest_feasible_step(current - self.floor, first, second)
+        return largest_feasible_step(current - self.constraint.floor, first, second)
 
     def preconditioner(self, x: Floats) -> Callable[[Floats], Floats]:
         """Return the inverse of the block-diagonal Gauss-Newton matrix, one Cholesky factor per shape."""
-        evaluation, coefficients = self.evaluate(x)
+        evaluation = self.evaluate(x)
+        coefficients = self.coefficients(x)
         n_shapes = len(coefficients)
+        n_d = self.reparameterization.n_directions
         free = self._free.ravel()
+        spec = evaluation.spectrum
+        share = ((spec.vectors**2) * self.spectral.slope(spec.eigenvalues)).sum(axis=1) * 2.0 / (n_shapes - 1)
+        bending = self.prior * np.kron(self._bending, np.eye(n_d))
         factors = []
-        plate = self.prior * np.kron(self._plate, np.eye(2))
         for i in self.moving:
-            scale = 2.0 / (n_shapes - 1) * evaluation.d_gram[i, i] * evaluation.weights
-            du, dv = evaluation.derivative_u[i], evaluation.derivative_v[i]
-            metric = np.stack([(du * du).sum(1), (du * dv).sum(1), (dv * dv).sum(1)], axis=1) * scale[:, None]
-            block = self.reparameterization.normal_blocks(metric) + plate
+            tangents = np.stack([s[i] for s in evaluation.jet.first], axis=1)
+            metric = np.einsum("lad,lbd->lab", tangents, tangents) * (share[i] * evaluation.weights)[:, None, None]
+            block = self.reparameterization.normal_blocks(metric) + bending
             if self.barrier > 0:
                 rows = self.jacobian.rows(coefficients[i])
-                slack = self.jacobian.coefficients(coefficients[i][None])[0] - self.floor
-                rows = rows / slack[:, None]
-                block += self.barrier / len(slack) * (rows.T @ rows)
+                curvature = self.constraint.curvature(self.jacobian.coefficients(coefficients[i][None]))[0]
+                block += self.barrier * (rows.T @ (curvature[:, None] * rows))
+            if self.guides is not None:
+                block += self.guides.hessian(i)
             block = block[np.ix_(free, free)]
             block[np.diag_indices_from(block)] += 1e-8 * np.trace(block) / len(block)
             factors.append(scipy.linalg.cho_factor(block, lower=True, check_finite=False))
 
         def apply(vector: Floats) -> Floats:
             rows = vector.reshape(len(factors), -1)
-            return np.concatenate(
-                [scipy.linalg.cho_solve(f, r, check_finite=False) for f, r in zip(factors, rows, strict=True)]
-            )
+            solved = [scipy.linalg.cho_solve(f, r, check_finite=False) for f, r in zip(factors, rows, strict=True)]
+            return self._keep_gauge(np.concatenate(solved))
 
         return apply

@@ -2,25 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 
 from ssmpipe.core.align.procrustes import Alignment, generalized_procrustes
 from ssmpipe.core.arrays import Floats
+from ssmpipe.core.correspondence.barrier import Aggregate, Barrier
 from ssmpipe.core.correspondence.certificate import Certificate, certify
-from ssmpipe.core.correspondence.description_length import description_length
+from ssmpipe.core.correspondence.direction import apply_directions
+from ssmpipe.core.correspondence.guides import Guides
+from ssmpipe.core.correspondence.jacobian import JacobianForm
+from ssmpipe.core.correspondence.measure import Quadrature, grid_size_weights, landmark_rule
 from ssmpipe.core.correspondence.objective import Covariance, GroupObjective
 from ssmpipe.core.correspondence.reparameterization import Boundary, Reparameterization
-from ssmpipe.core.correspondence.weights import MeanAreaWeights
-from ssmpipe.core.errors import GeometryError
+from ssmpipe.core.correspondence.sensitivity import direct_gradient, finite_difference_gradient
+from ssmpipe.core.correspondence.spectral import Objective, spectral_function
+from ssmpipe.core.errors import FoldoverError, GeometryError, LandmarkError
 from ssmpipe.core.optim.interior import DescentOptions, minimize_interior
-from ssmpipe.core.result import Result
-from ssmpipe.core.spline.evaluate import SplineStack
+from ssmpipe.core.result import Result, Status
+from ssmpipe.core.spline.curve import BSplineCurve
+from ssmpipe.core.spline.evaluate import Spline, SplineStack
+from ssmpipe.core.spline.project import nearest_parameters
 from ssmpipe.core.spline.surface import BSplineSurface
+
+Sensitivity = Literal["adjoint", "direct", "finite-difference"]
+_SLOW = {"direct": direct_gradient, "finite-difference": finite_difference_gradient}
 
 
 @dataclass(frozen=True)
@@ -29,14 +40,18 @@ class EngineOptions:
 
     Parameters
     ----------
-    n_coefficients : (int, int)
-        Coefficients of every ``D_i`` per direction.
-    landmarks : (int, int)
+    n_coefficients : tuple of int
+        Coefficients of every ``D_i`` per direction; one number for curves, two for surfaces.
+    landmarks : tuple of int
         Landmark grid.
     degree : int
         Of ``D``.
-    boundary : {"fixed", "sliding"}
-    covariance : {"discrete", "II"}
+    boundary : {"fixed", "sliding", "periodic"}
+    covariance : {"discrete", "I", "II"}
+        Equal weights; integral over the domain; integral over the mean shape, with exact gradient.
+    quadrature : {"grid", "midpoint", "gauss"}
+        Where the landmarks of the objective lie; ``discrete`` always takes the grid.
+    objective : {"description-length", "log-determinant", "trace"}
     lambda_cut : float or None
         Threshold of the description length [mm^2]; None for the rule of :func:`automatic_lambda_cut`.
     pose : {"refined", "procrustes", "keep"}
@@ -47,23 +62,41 @@ class EngineOptions:
     remove_size : bool
         Whether sizes are removed inside the objective.
     prior : float
-        Weight of the thin-plate energy of every ``D_i`` [nat].
+        Weight of the bending energy of every ``D_i`` [nat].
     barriers : tuple of float
         Decreasing barrier weights, one round each; the last one is the weight of the result.
     floor : float
-        Lower bound kept for every Bernstein coefficient of ``det dD/du``.
+        Lower bound kept for every coefficient of ``det dD/du``.
+    form : {"bezier", "bspline", "sampled"}
+        Form of the Jacobian that the barrier sees.
+    aggregate : {"each", "ks"}
+        Barrier on every coefficient, or on their Kreisselmeier-Steinhauser aggregate.
+    sharpness : float
+        ``K`` of the aggregate.
     reference : int or {"nearest-to-mean", "none"}
+    coarse_to_fine : bool
+        Whether coarser nested spaces of ``D`` are solved first, at the strongest barrier.
+    guide_weight : float
+        Pull of the guides [nat / mm^2].
+    guide_mode : {"penalty", "interpolate"}
+        ``interpolate`` raises the pull until every guide is met within ``guide_tolerance``.
+    guide_tolerance : float
+        [mm].
+    sensitivity : {"adjoint", "direct", "finite-difference"}
+        How the gradient of the spectral function is computed; the last two are slow and for comparison.
     max_iterations : int
         Per round.
     relative_decrease : float
         A round ends when the objective falls by less than this share twice in a row.
     """
 
-    n_coefficients: tuple[int, int] = (8, 8)
-    landmarks: tuple[int, int] = (51, 51)
+    n_coefficients: tuple[int, ...] = (8, 8)
+    landmarks: tuple[int, ...] = (51, 51)
     degree: int = 2
     boundary: Boundary = "fixed"
     covariance: Covariance = "discrete"
+    quadrature: Quadrature = "midpoint"
+    objective: Objective = "description-length"
     lambda_cut: float | None = None
     pose: Literal["refined", "procrustes", "keep"] = "refined"
     pose_rounds: int = 6
@@ -71,7 +104,15 @@ class EngineOptions:
     prior: float = 0.01
     barriers: tuple[float, ...] = (30.0, 10.0, 3.0)
     floor: float = 0.0
+    form: JacobianForm = "bezier"
+    aggregate: Aggregate = "each"
+    sharpness: float = 15.0
     reference: int | Literal["nearest-to-mean", "none"] = "nearest-to-mean"
+    coarse_to_fine: bool = False
+    guide_weight: float = 1.0
+    guide_mode: Literal["penalty", "interpolate"] = "penalty"
+    guide_tolerance: float = 0.01
+    sensitivity: Sensitivity = "adjoint"
     max_iterations: int = 300
     relative_decrease: float = 1e-5
 
@@ -82,20 +123,22 @@ class Optimum:
 
     Parameters
     ----------
-    coefficients : (n_S, n_b1, n_b2, 2)
-    parameters : (n_S, n_P, 2)
-        ``D_i(u_l)``.
-    points, initial_points : (n_S, n_P, 3)
+    coefficients : (n_S, *n_b, d_par)
+    parameters : (n_S, n_P, d_par)
+        ``D_i(u_l)`` on the landmark grid.
+    points, initial_points : (n_S, n_P, d)
         In the refined pose [mm], sizes kept.
     alignment : Alignment
         From the input frame to the refined pose.
     eigenvalues, eigenvalues_initial : (n_S - 1,)
-        Inside the objective [mm^2].
+        Inside the objective [mm^2], both in the refined pose.
     description_length : (before, after)
     lambda_cut : float
     reference : int
         -1 when all shapes move.
     certificates : tuple of Certificate
+    guide_residuals : (n_S, n_K)
+        Distance on the surface between a guide and where it is carried [mm]; NaN where a shape lacks it.
     """
 
     coefficients: Floats
@@ -109,6 +152,7 @@ class Optimum:
     lambda_cut: float
     reference: int
     certificates: tuple[Certificate, ...]
+    guide_residuals: Floats = field(default_factory=lambda: np.empty((0, 0)))
 
 
 def automatic_lambda_cut(size: float) -> float:
@@ -133,21 +177,24 @@ def automatic_lambda_cut(size: float) -> float:
 
 
 def optimize_correspondence(
-    surfaces: Sequence[BSplineSurface],
+    splines: Sequence[Spline],
     options: EngineOptions | None = None,
     *,
+    guides: Sequence[Mapping[str, Floats]] | None = None,
     record: Callable[[dict[str, float]], None] | None = None,
 ) -> Result[Optimum]:
     """Find the reparameterizations of a cohort that minimize its description length (Li 2015, ch. 2).
 
     Parameters
     ----------
-    surfaces : sequence of BSplineSurface
+    splines : sequence of BSplineCurve or BSplineSurface
         At least two; equal degree and knots; roughly aligned [mm].
     options : EngineOptions, optional
+    guides : sequence of mapping name -> (d,), optional
+        Named landmarks per shape, in the frame of the splines, that guide the correspondence.
     record : callable, optional
-        Called after every iteration with ``iteration, description_length, max_constraint, min_jacobian``, where
-        ``max_constraint`` is the largest ``floor - J_z`` and is never positive.
+        Called after every iteration with ``iteration, description_length, max_constraint, min_jacobian``;
+        ``max_constraint`` is the constraint of the barrier and is never positive.
 
     Returns
     -------
@@ -157,136 +204,305 @@ def optimize_correspondence(
     Raises
     ------
     GeometryError
-        If fewer than two surfaces are given or they cannot be compared.
+        If fewer than two splines are given or they cannot be compared.
+    FoldoverError
+        If guides cannot be interpolated by a one-to-one map.
     """
     opts = options or EngineOptions()
-    if len(surfaces) < 2:
-        raise GeometryError(f"correspondence needs at least two shapes, got {len(surfaces)}")
-    reparameterization = Reparameterization(
-        opts.n_coefficients, opts.landmarks, degree=opts.degree, boundary=opts.boundary
+    if len(splines) < 2:
+        raise GeometryError(f"correspondence needs at least two shapes, got {len(splines)}")
+    cohort = _Cohort(splines, opts, guides)
+    recorder = _Recorder(record)
+    reparameterization = cohort.space(opts.n_coefficients)
+    levels = _levels(reparameterization) if opts.coarse_to_fine else []
+    coefficients = np.repeat(
+        cohort.space(levels[0] if levels else opts.n_coefficients).identity()[None], len(splines), axis=0
     )
-    identity = reparameterization.identity()[None]
-    at_identity = np.repeat(reparameterization.evaluate(identity), len(surfaces), axis=0)
-    raw = SplineStack(surfaces)
-    given = raw.evaluate(at_identity).points
-    alignment = _align(given, opts, keep_pose=opts.pose != "procrustes")
-    start_points = _apply(alignment, given, scaled=True)
-    mean = start_points.mean(axis=0)
-    size = float(np.sqrt(((mean - mean.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    lambda_cut = opts.lambda_cut if opts.lambda_cut is not None else automatic_lambda_cut(size)
-    if opts.reference == "none":
-        reference = -1
-    elif opts.reference == "nearest-to-mean":
-        reference = int(((start_points - mean) ** 2).sum(axis=(1, 2)).argmin())
-    else:
-        reference = opts.reference
-    recorder = _Recorder(opts.floor, record)
-    barriers = opts.barriers
+    for n, n_next in pairwise([*levels, opts.n_coefficients]):
+        coefficients = cohort.descend(coefficients, cohort.space(n), opts.barriers[:1], recorder)[0]
+        coefficients = _refined(coefficients, cohort.space(n), cohort.space(n_next))
     pose_rounds = opts.pose_rounds if opts.pose == "refined" else 0
-    x = np.tile(reparameterization.identity()[reparameterization.free], len(surfaces) - (reference >= 0))
-    n_iterations = n_evaluations = 0
+    barriers = opts.barriers
     for pose_round in range(1 + pose_rounds):
-        objective = GroupObjective(
-            SplineStack([_posed(s, alignment, i) for i, s in enumerate(surfaces)]),
-            reparameterization,
-            lambda_cut=lambda_cut,
-            covariance=opts.covariance,
-            prior=opts.prior,
-            floor=opts.floor,
-            reference=reference,
+        coefficients, status = cohort.descend(coefficients, reparameterization, barriers, recorder)
+        if pose_round < pose_rounds and not cohort.refine_pose(coefficients, reparameterization):
+            break
+        barriers = opts.barriers[-1:]
+    if cohort.guided and opts.guide_mode == "interpolate":
+        coefficients, status = cohort.interpolate_guides(coefficients, reparameterization, recorder)
+    return Result(
+        cohort.optimum(coefficients, reparameterization),
+        status,
+        recorder.n_iterations,
+        recorder.n_evaluations,
+        recorder.history(),
+    )
+
+
+class _Cohort:
+    """The splines with their current pose, and what stays fixed over all rounds."""
+
+    def __init__(
+        self, splines: Sequence[Spline], opts: EngineOptions, guides: Sequence[Mapping[str, Floats]] | None
+    ) -> None:
+        self.splines = splines
+        self.opts = opts
+        n_directions = len(splines[0].degrees)
+        if not len(opts.n_coefficients) == len(opts.landmarks) == n_directions:
+            raise GeometryError(
+                f"n_coefficients {opts.n_coefficients} and landmarks {opts.landmarks} must have one number per parameter direction, "
+                f"the splines have {n_directions}"
+            )
+        self.output = Reparameterization(
+            opts.n_coefficients, opts.landmarks, degree=opts.degree, boundary=opts.boundary
         )
-        if pose_round == 0:
-            recorder.note(objective, x)
+        self.raw = SplineStack(splines, self.output.periodic)
+        at_identity = np.repeat(self.output.evaluate(self.output.identity()[None]), len(splines), axis=0)
+        self.given = self.raw.evaluate(at_identity).points
+        self.alignment = self._align(self.given, keep_pose=opts.pose != "procrustes")
+        start = _apply(self.alignment, self.given, scaled=True)
+        mean = start.mean(axis=0)
+        self.size = float(np.sqrt(((mean - mean.mean(axis=0)) ** 2).sum(axis=1).mean()))
+        self.lambda_cut = opts.lambda_cut if opts.lambda_cut is not None else automatic_lambda_cut(self.size)
+        self.spectral = spectral_function(opts.objective, self.lambda_cut)
+        self.constraint = Barrier(opts.aggregate, opts.floor, opts.sharpness)
+        if opts.reference == "none":
+            self.reference = -1
+        elif opts.reference == "nearest-to-mean":
+            self.reference = int(((start - mean) ** 2).sum(axis=(1, 2)).argmin())
+        else:
+            self.reference = opts.reference
+        self.guide_weight = opts.guide_weight
+        self._guides = self._locate_guides(guides) if guides is not None else None
+
+    @property
+    def guided(self) -> bool:
+        return self._guides is not None
+
+    def space(self, n_coefficients: tuple[int, ...]) -> Reparameterization:
+        """Return the maps with the nodes of the objective."""
+        space = Reparameterization(
+            n_coefficients, self.opts.landmarks, degree=self.opts.degree, boundary=self.opts.boundary
+        )
+        return space.at(landmark_rule(space, self.opts.landmarks, self._quadrature())[0])
+
+    def _quadrature(self) -> Quadrature:
+        return "grid" if self.opts.covariance == "discrete" else self.opts.quadrature
+
+    def objective(self, space: Reparameterization) -> GroupObjective:
+        """Return the objective in the current pose."""
+        scaled = [_posed(s, self.alignment, i) for i, s in enumerate(self.splines)]
+        return GroupObjective(
+            SplineStack(scaled, space.periodic),
+            space,
+            self.spectral,
+            base_weights=landmark_rule(space, self.opts.landmarks, self._quadrature())[1],
+            covariance=self.opts.covariance,
+            prior=self.opts.prior,
+            constraint=self.constraint,
+            form=self.opts.form,
+            guides=self._guides_in(space),
+            reference=self.reference,
+            other_gradient=_SLOW.get(self.opts.sensitivity),
+        )
+
+    def descend(
+        self, coefficients: Floats, space: Reparameterization, barriers: tuple[float, ...], recorder: _Recorder
+    ) -> tuple[Floats, Status]:
+        """Minimize at each barrier weight in turn."""
+        objective = self.objective(space)
+        x = objective.unknowns(coefficients)
+        recorder.start(objective, x)
+        status: Status = "converged"
         for barrier in barriers:
             objective.barrier = barrier
             result = minimize_interior(
                 objective,
                 x,
-                DescentOptions(max_iterations=opts.max_iterations, relative_decrease=opts.relative_decrease),
+                DescentOptions(max_iterations=self.opts.max_iterations, relative_decrease=self.opts.relative_decrease),
                 callback=partial(recorder.note_iteration, objective),
             )
-            x = result.value
-            n_iterations += result.n_iterations
-            n_evaluations += result.n_evaluations
-        if pose_round < pose_rounds:
-            current = raw.evaluate(reparameterization.evaluate(objective.coefficients(x))).points
-            refined = _align(current, opts, keep_pose=False)
-            moved = _apply(refined, current, scaled=True) - _apply(alignment, current, scaled=True)
-            if float(np.sqrt((moved**2).sum(axis=-1).mean())) < 1e-3 * size:
-                break
-            alignment = refined
-            barriers = opts.barriers[-1:]
-    coefficients = objective.coefficients(x)
-    parameters = reparameterization.evaluate(coefficients)
-    eigenvalues = objective.evaluate(x)[0].spectrum.eigenvalues
-    eigenvalues_initial = objective.evaluate(objective.start())[0].spectrum.eigenvalues
-    optimum = Optimum(
-        coefficients=coefficients,
-        parameters=parameters,
-        points=_apply(alignment, raw.evaluate(parameters).points, scaled=False),
-        initial_points=_apply(alignment, given, scaled=False),
-        alignment=alignment,
-        eigenvalues=eigenvalues,
-        eigenvalues_initial=eigenvalues_initial,
-        description_length=(
-            description_length(eigenvalues_initial, lambda_cut),
-            description_length(eigenvalues, lambda_cut),
-        ),
-        lambda_cut=lambda_cut,
-        reference=reference,
-        certificates=tuple(certify(c, reparameterization) for c in coefficients),
-    )
-    return Result(optimum, result.status, n_iterations, n_evaluations, recorder.history())
+            x, status = result.value, result.status
+            recorder.n_iterations += result.n_iterations
+            recorder.n_evaluations += result.n_evaluations
+        return objective.coefficients(x), status
+
+    # -- pose ----------------------------------------------------------------------------------------------------------
+
+    def _align(self, points: Floats, *, keep_pose: bool) -> Alignment:
+        """Return poses and size factors for (n_S, n_P, d) points on the grid, landmarks weighed by the size they stand for."""
+        weights = grid_size_weights(points.mean(axis=0), self.output.grid, self.output.periodic)
+        alignment = generalized_procrustes(points, weights, remove_size=self.opts.remove_size)
+        if not keep_pose:
+            return alignment
+        unturned = np.repeat(np.eye(points.shape[2])[None], len(points), axis=0)
+        return replace(alignment, rotation=unturned, translation=np.zeros((len(points), points.shape[2])))
+
+    def refine_pose(self, coefficients: Floats, space: Reparameterization) -> bool:
+        """Refine poses and sizes from the current correspondence; return whether that moved anything noticeably."""
+        current = self.raw.evaluate(space.at(self.opts.landmarks).evaluate(coefficients)).points
+        refined = self._align(current, keep_pose=False)
+        moved = _apply(refined, current, scaled=True) - _apply(self.alignment, current, scaled=True)
+        if float(np.sqrt((moved**2).sum(axis=-1).mean())) < 1e-3 * self.size:
+            return False
+        self.alignment = refined
+        return True
+
+    # -- guides --------------------------------------------------------------------------------------------------------
+
+    def _locate_guides(self, guides: Sequence[Mapping[str, Floats]]) -> tuple[Floats, Floats, Floats, np.ndarray]:
+        """Return common and own parameters, tangents and presence of the guides that at least two shapes have."""
+        names = sorted({n for g in guides for n in g if sum(n in other for other in guides) >= 2})
+        if not names:
+            raise LandmarkError(
+                "no guide is marked on two shapes or more", "name landmarks that the shapes share in optimize.guides"
+            )
+        n_d = len(self.splines[0].degrees)
+        own = np.zeros((len(self.splines), len(names), n_d))
+        present = np.zeros((len(self.splines), len(names)), dtype=bool)
+        for i, (spline, marks) in enumerate(zip(self.splines, guides, strict=True)):
+            have = [k for k, name in enumerate(names) if name in marks]
+            if have:
+                own[i, have] = nearest_parameters(spline, np.array([marks[names[k]] for k in have]))[0]
+                present[i, have] = True
+        if self.reference >= 0:
+            anchor = np.where(present[self.reference][:, None], own[self.reference], np.nan)
+        else:
+            anchor = np.full((len(names), n_d), np.nan)
+        offset = np.where(present[..., None], own, np.nan)
+        if self.output.periodic[0]:
+            first = np.where(
+                np.isnan(anchor[:, 0]), offset[present.argmax(axis=0), np.arange(len(names)), 0], anchor[:, 0]
+            )
+            offset[..., 0] -= np.round(offset[..., 0] - first)
+        common = np.where(np.isnan(anchor), np.nanmean(offset, axis=0), anchor)
+        return common, own, np.stack(self.raw.evaluate(own).first, axis=2), present
+
+    def _guides_in(self, space: Reparameterization) -> Guides | None:
+        if self._guides is None:
+            return None
+        common, own, tangents, present = self._guides
+        wrapped = np.where(np.array(space.periodic), common - np.floor(common), common)
+        return Guides(space, wrapped, own, tangents, present, self.guide_weight)
+
+    def guide_residuals(self, coefficients: Floats, space: Reparameterization) -> Floats:
+        """Return the (n_S, n_K) distances on the surface [mm], NaN where a shape lacks the guide."""
+        guides = self._guides_in(space)
+        if guides is None or self._guides is None:
+            return np.empty((len(self.splines), 0))
+        moved = np.einsum("ika,ikad->ikd", guides.residual(coefficients), self._guides[2])
+        return np.where(self._guides[3], np.linalg.norm(moved, axis=-1), np.nan)
+
+    def interpolate_guides(
+        self, coefficients: Floats, space: Reparameterization, recorder: _Recorder
+    ) -> tuple[Floats, Status]:
+        """Raise the pull until every guide is met."""
+        status: Status = "converged"
+        for _ in range(8):
+            if np.nanmax(self.guide_residuals(coefficients, space)) <= self.opts.guide_tolerance:
+                return coefficients, status
+            self.guide_weight *= 10.0
+            coefficients, status = self.descend(coefficients, space, self.opts.barriers[-1:], recorder)
+        worst = float(np.nanmax(self.guide_residuals(coefficients, space)))
+        if worst > self.opts.guide_tolerance:
+            raise FoldoverError(
+                f"the guides cannot all be met by one-to-one maps with {self.opts.n_coefficients} coefficients: "
+                f"{worst:.3g} mm are left, {self.opts.guide_tolerance:g} mm are allowed",
+                "raise n_coefficients, use guide_mode: penalty, or check the landmarks",
+            )
+        return coefficients, status
+
+    # -- result --------------------------------------------------------------------------------------------------------
+
+    def optimum(self, coefficients: Floats, space: Reparameterization) -> Optimum:
+        """Evaluate and certify the result on the landmark grid."""
+        objective = self.objective(space)
+        x = objective.unknowns(coefficients)
+        eigenvalues = objective.evaluate(x).spectrum.eigenvalues
+        eigenvalues_initial = objective.evaluate(objective.start()).spectrum.eigenvalues
+        parameters = self.output.evaluate(coefficients)
+        length = spectral_function("description-length", self.lambda_cut).value
+        return Optimum(
+            coefficients=coefficients,
+            parameters=parameters,
+            points=_apply(self.alignment, self.raw.evaluate(parameters).points, scaled=False),
+            initial_points=_apply(self.alignment, self.given, scaled=False),
+            alignment=self.alignment,
+            eigenvalues=eigenvalues,
+            eigenvalues_initial=eigenvalues_initial,
+            description_length=(length(eigenvalues_initial), length(eigenvalues)),
+            lambda_cut=self.lambda_cut,
+            reference=self.reference,
+            certificates=tuple(certify(c, space) for c in coefficients),
+            guide_residuals=self.guide_residuals(coefficients, space),
+        )
 
 
 class _Recorder:
     """Collects the history rows and hands each one on."""
 
-    def __init__(self, floor: float, record: Callable[[dict[str, float]], None] | None) -> None:
-        self._floor = floor
+    def __init__(self, record: Callable[[dict[str, float]], None] | None) -> None:
         self._record = record
         self._rows: list[dict[str, float]] = []
+        self.n_iterations = 0
+        self.n_evaluations = 0
 
-    def note(self, objective: GroupObjective, x: Floats) -> None:
-        smallest = objective.smallest_jacobian(x)
+    def start(self, objective: GroupObjective, x: Floats) -> None:
+        """Note the state before the first iteration of all."""
+        if not self._rows:
+            self._note(objective, x)
+
+    def note_iteration(self, objective: GroupObjective, _k: int, x: Floats, _f: float, _g: Floats) -> None:
+        """Note an accepted step."""
+        self._note(objective, x)
+
+    def _note(self, objective: GroupObjective, x: Floats) -> None:
+        jacobians = objective.jacobian.coefficients(objective.coefficients(x)[objective.moving])
         row = {
             "iteration": float(len(self._rows)),
-            "description_length": objective.description_length(x),
-            "max_constraint": self._floor - smallest,
-            "min_jacobian": smallest,
+            "description_length": objective.spectral_value(x),
+            "max_constraint": float(objective.constraint.constraint(jacobians).max()),
+            "min_jacobian": float(jacobians.min()),
         }
         self._rows.append(row)
         if self._record is not None:
             self._record(row)
 
-    def note_iteration(self, objective: GroupObjective, _k: int, x: Floats, _f: float, _g: Floats) -> None:
-        self.note(objective, x)
-
     def history(self) -> dict[str, Floats]:
+        """Return the columns."""
         return {key: np.array([row[key] for row in self._rows]) for key in self._rows[0]}
 
 
-def _align(points: Floats, options: EngineOptions, *, keep_pose: bool) -> Alignment:
-    """Return poses and size factors for the (n_S, n_P, 3) points of a correspondence, landmarks weighed by their area."""
-    weights = MeanAreaWeights(options.landmarks).value(points.mean(axis=0))
-    alignment = generalized_procrustes(points, weights, remove_size=options.remove_size)
-    if not keep_pose:
-        return alignment
-    n_shapes = len(points)
-    unturned = np.repeat(np.eye(3)[None], n_shapes, axis=0)
-    return Alignment(unturned, np.zeros((n_shapes, 3)), alignment.scale, alignment.centre)
+def _levels(space: Reparameterization) -> list[tuple[int, ...]]:
+    """Return the coarser nested spaces, coarsest first: spans halved while they can be and two are left."""
+    levels: list[tuple[int, ...]] = []
+    spans = [d.n_spans for d in space.directions]
+    while all(s % 2 == 0 and s >= 4 for s in spans):
+        spans = [s // 2 for s in spans]
+        extra = [0 if p else space.degree for p in space.periodic]
+        levels.append(tuple(s + e for s, e in zip(spans, extra, strict=True)))
+    return levels[::-1]
+
+
+def _refined(coefficients: Floats, coarse: Reparameterization, fine: Reparameterization) -> Floats:
+    """Return the same maps in the finer space, by knot insertion."""
+    matrices = tuple(c.refinement(f) for c, f in zip(coarse.directions, fine.directions, strict=True))
+    displacement = np.moveaxis(coefficients - coarse.identity(), -1, 1)
+    return fine.identity() + np.moveaxis(apply_directions(matrices, displacement), 1, -1)
 
 
 def _apply(alignment: Alignment, points: Floats, *, scaled: bool) -> Floats:
-    """Move (n_S, n, 3) points to their poses, and scale them about the common centre if asked."""
+    """Move (n_S, n, d) points to their poses, and scale them about the common centre if asked."""
     moved = points @ np.swapaxes(alignment.rotation, 1, 2) + alignment.translation[:, None]
     if not scaled:
         return moved
     return alignment.centre + alignment.scale[:, None, None] * (moved - alignment.centre)
 
 
-def _posed(surface: BSplineSurface, alignment: Alignment, i: int) -> BSplineSurface:
+def _posed(spline: Spline, alignment: Alignment, i: int) -> Spline:
     """Move and scale the control points of shape ``i``; splines are affinely invariant."""
-    control = surface.control_points @ alignment.rotation[i].T + alignment.translation[i]
+    control = spline.control_points @ alignment.rotation[i].T + alignment.translation[i]
     control = alignment.centre + alignment.scale[i] * (control - alignment.centre)
-    return BSplineSurface(surface.degree, surface.knots_u, surface.knots_v, control)
+    if isinstance(spline, BSplineCurve):
+        return BSplineCurve(spline.degree, spline.knots, control)
+    return BSplineSurface(spline.degree, spline.knots_u, spline.knots_v, control)

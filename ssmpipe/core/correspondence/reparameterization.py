@@ -1,4 +1,4 @@
-"""The reparameterization ``D`` of the unit square: a tensor-product B-spline whose coefficients are the unknowns."""
+"""The reparameterization ``D`` of the unit interval or square: a B-spline whose coefficients are the unknowns."""
 
 from __future__ import annotations
 
@@ -7,29 +7,34 @@ from typing import Literal
 import numpy as np
 
 from ssmpipe.core.arrays import Bools, Floats
-from ssmpipe.core.spline.basis import design_matrix
-from ssmpipe.core.spline.knots import clamped_uniform_knots, greville
+from ssmpipe.core.correspondence.direction import Direction, apply_directions
+from ssmpipe.core.errors import GeometryError
 
-Boundary = Literal["fixed", "sliding"]
+Boundary = Literal["fixed", "sliding", "periodic"]
 
 
 class Reparameterization:
-    """Evaluate ``D_i(u_l)`` [2.3 of Li 2015] on a landmark grid for many shapes at once, and pull gradients back.
+    """Evaluate ``D_i(u_l)`` [2.2, 2.3 of Li 2015] at tensor nodes for many shapes at once, and pull gradients back.
+
+    Internally ``D = id + displacement``, so that the identity has no displacement in every boundary mode.
 
     Parameters
     ----------
-    n_coefficients : (int, int)
-        Coefficients ``n_b1, n_b2`` of ``D`` per direction.
-    grid : (int, int)
-        Landmarks per direction, evenly spaced in the parameter domain, ends included.
+    n_coefficients : tuple of int
+        Coefficients of ``D`` per direction; one number for curves, two for surfaces.
+    nodes : tuple of int or of (n,) arrays
+        Landmarks per direction: a number for evenly spaced ones (ends included, except that a periodic direction leaves
+        out u = 1), or the nodes themselves.
     degree : int, default=2
-    boundary : {"fixed", "sliding"}, default="fixed"
+    boundary : {"fixed", "sliding", "periodic"}, default="fixed"
         ``fixed``: ``D`` is the identity on the boundary [2.4]. ``sliding``: every edge is mapped onto itself, but points
-        may slide along it; the corners stay.
+        may slide along it; the corners stay (on a curve the same as ``fixed``). ``periodic``: the first direction is an
+        angle, ``D(u + 1) = D(u) + 1``, so the starting point is free; on a surface the two rims ``v = 0, 1`` are mapped
+        onto themselves and may turn.
 
     Attributes
     ----------
-    free : (n_b1, n_b2, 2) bool
+    free : (*n_coefficients, d_par) bool
         Which coefficients are unknowns.
 
     Examples
@@ -42,76 +47,148 @@ class Reparameterization:
     """
 
     def __init__(
-        self, n_coefficients: tuple[int, int], grid: tuple[int, int], *, degree: int = 2, boundary: Boundary = "fixed"
+        self,
+        n_coefficients: tuple[int, ...],
+        nodes: tuple[int, ...] | tuple[Floats, ...],
+        *,
+        degree: int = 2,
+        boundary: Boundary = "fixed",
     ) -> None:
+        if len(n_coefficients) != len(nodes) or len(nodes) not in (1, 2):
+            raise GeometryError(
+                f"coefficients for {len(n_coefficients)} and nodes for {len(nodes)} directions; need the same, 1 or 2"
+            )
         self.degree = degree
-        self.grid = grid
         self.boundary = boundary
-        self.knots = tuple(clamped_uniform_knots(n, degree) for n in n_coefficients)
-        nodes = tuple(np.linspace(0.0, 1.0, n) for n in grid)
-        self._basis = tuple(design_matrix(u, k, degree) for u, k in zip(nodes, self.knots, strict=True))
+        self.periodic = tuple(boundary == "periodic" and axis == 0 for axis in range(len(nodes)))
+        self.directions = tuple(Direction(n, degree, p) for n, p in zip(n_coefficients, self.periodic, strict=True))
+        self.nodes = tuple(
+            np.linspace(0.0, 1.0, n, endpoint=not p) if isinstance(n, int) else np.asarray(n)
+            for n, p in zip(nodes, self.periodic, strict=True)
+        )
+        self.grid = tuple(len(n) for n in self.nodes)
+        self._basis = tuple(d.matrix(n) for d, n in zip(self.directions, self.nodes, strict=True))
+        self._slope = tuple(d.matrix(n, 1) for d, n in zip(self.directions, self.nodes, strict=True))
+        self._at = np.stack(np.meshgrid(*self.nodes, indexing="ij"), axis=0)
+        self._identity = np.stack(np.meshgrid(*[d.identity for d in self.directions], indexing="ij"), axis=-1)
         self.free = free_coefficients(n_coefficients, boundary)
 
     @property
-    def n_coefficients(self) -> tuple[int, int]:
+    def n_coefficients(self) -> tuple[int, ...]:
         """Coefficients per direction."""
-        return self._basis[0].shape[1], self._basis[1].shape[1]
+        return tuple(d.n_coefficients for d in self.directions)
+
+    @property
+    def n_directions(self) -> int:
+        """1 for curves, 2 for surfaces."""
+        return len(self.directions)
+
+    def at(self, nodes: tuple[int, ...] | tuple[Floats, ...]) -> Reparameterization:
+        """Return the same space of maps with other nodes."""
+        return Reparameterization(self.n_coefficients, nodes, degree=self.degree, boundary=self.boundary)
 
     def identity(self) -> Floats:
-        """Return the (n_b1, n_b2, 2) coefficients of the identity: the Greville abscissae."""
-        u, v = (greville(k, self.degree) for k in self.knots)
-        return np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1)
+        """Return the (*n_coefficients, d_par) coefficients of the identity."""
+        return self._identity.copy()
+
+    def _displacement(self, coefficients: Floats) -> Floats:
+        return np.moveaxis(coefficients - self._identity, -1, 1)
 
     def evaluate(self, coefficients: Floats) -> Floats:
-        """Return ``D_i(u_l)``: (n_S, n_b1, n_b2, 2) coefficients to (n_S, n_P, 2) parameters, clipped to the square.
+        """Return ``D_i(u_l)``: (n_S, *n_coefficients, d_par) coefficients to (n_S, n_P, d_par) parameters.
 
-        Clipping removes rounding only: a B-spline with coefficients in the unit square stays in it.
+        Directions that are not periodic are clipped to [0, 1]; this removes rounding only, for feasible maps.
         """
-        moved = np.moveaxis(coefficients, -1, 1)
-        values = self._basis[0] @ moved @ self._basis[1].T
-        return np.clip(np.moveaxis(values, 1, -1).reshape(len(coefficients), -1, 2), 0.0, 1.0)
+        values = self._at + apply_directions(self._basis, self._displacement(coefficients))
+        for axis, periodic in enumerate(self.periodic):
+            if not periodic:
+                np.clip(values[:, axis], 0.0, 1.0, out=values[:, axis])
+        return np.moveaxis(values, 1, -1).reshape(len(coefficients), -1, self.n_directions)
 
-    def pull_back(self, gradient: Floats) -> Floats:
-        """Return ``df/db`` (n_S, n_b1, n_b2, 2) from ``df/dD(u_l)`` (n_S, n_P, 2); the transpose of :meth:`evaluate`."""
-        field = np.moveaxis(gradient.reshape(len(gradient), *self.grid, 2), -1, 1)
-        return np.moveaxis(self._basis[0].T @ field @ self._basis[1], 1, -1)
+    def slopes(self, coefficients: Floats) -> tuple[Floats, ...]:
+        """Return ``dD_i/du_k`` at the nodes, one (n_S, n_P, d_par) array per direction k."""
+        displacement = self._displacement(coefficients)
+        out = []
+        for axis in range(self.n_directions):
+            values = apply_directions(self._mixed(axis), displacement)
+            values[:, axis] += 1.0
+            out.append(np.moveaxis(values, 1, -1).reshape(len(coefficients), -1, self.n_directions))
+        return tuple(out)
+
+    def _mixed(self, axis: int) -> tuple[Floats, ...]:
+        """Return the matrices that differentiate in direction ``axis``."""
+        return tuple(self._slope[k] if k == axis else self._basis[k] for k in range(self.n_directions))
+
+    def pull_back(self, gradient: Floats, slope_gradients: tuple[Floats, ...] = ()) -> Floats:
+        """Return ``df/db`` from ``df/dD(u_l)`` and, where given, ``df/d(dD/du_k)``; the transpose of the evaluations.
+
+        Parameters
+        ----------
+        gradient : (n_S, n_P, d_par)
+        slope_gradients : tuple of (n_S, n_P, d_par), optional
+
+        Returns
+        -------
+        (n_S, *n_coefficients, d_par)
+        """
+        total = self._transposed(self._basis, gradient)
+        for axis, one in enumerate(slope_gradients):
+            total = total + self._transposed(self._mixed(axis), one)
+        return np.moveaxis(total, 1, -1)
+
+    def _transposed(self, matrices: tuple[Floats, ...], gradient: Floats) -> Floats:
+        field = np.moveaxis(gradient.reshape(len(gradient), *self.grid, self.n_directions), -1, 1)
+        return apply_directions(tuple(m.T for m in matrices), field)
 
     def normal_blocks(self, metric: Floats) -> Floats:
         """Return ``Basis^T M Basis`` for one shape: the Gauss-Newton block in all coefficients.
 
         Parameters
         ----------
-        metric : (n_P, 3) float64
-            The entries (uu, uv, vv) of a symmetric 2 x 2 matrix at every landmark.
+        metric : (n_P, d_par, d_par) float64
+            A symmetric matrix at every landmark.
 
         Returns
         -------
-        (n_b1 * n_b2 * 2, n_b1 * n_b2 * 2) float64
+        (n, n) float64
+            ``n = prod(n_coefficients) * d_par``, components fastest.
         """
-        nb1, nb2 = self.n_coefficients
-        field = metric.reshape(*self.grid, 3)
-        inner = np.einsum("lb,klc,lm->kbmc", self._basis[1], field, self._basis[1], optimize=True)
-        blocks = np.einsum("ka,kbmc,kn->abnmc", self._basis[0], inner, self._basis[0], optimize=True)
-        out = np.empty((nb1, nb2, 2, nb1, nb2, 2))
-        out[:, :, 0, :, :, 0] = blocks[..., 0]
-        out[:, :, 0, :, :, 1] = blocks[..., 1]
-        out[:, :, 1, :, :, 0] = blocks[..., 1]
-        out[:, :, 1, :, :, 1] = blocks[..., 2]
-        return out.reshape(nb1 * nb2 * 2, nb1 * nb2 * 2)
+        n_d = self.n_directions
+        field = metric.reshape(*self.grid, n_d, n_d)
+        if n_d == 1:
+            return np.asarray(self._basis[0].T @ (field[:, 0, 0, None] * self._basis[0]))
+        inner = np.einsum("lb,klcd,lm->kbmcd", self._basis[1], field, self._basis[1], optimize=True)
+        blocks = np.einsum("ka,kbmcd,kn->abcnmd", self._basis[0], inner, self._basis[0], optimize=True)
+        size = blocks.shape[0] * blocks.shape[1] * n_d
+        return np.asarray(blocks.reshape(size, size))
+
+    def rows_at(self, parameters: Floats) -> Floats:
+        """Return the (n, prod(n_coefficients)) basis of one component of ``D`` at scattered (n, d_par) ``parameters``."""
+        rows = self.directions[0].matrix(parameters[:, 0])
+        if self.n_directions == 2:
+            rows = np.einsum("na,nb->nab", rows, self.directions[1].matrix(parameters[:, 1])).reshape(len(rows), -1)
+        return rows
 
 
-def free_coefficients(n_coefficients: tuple[int, int], boundary: Boundary) -> Bools:
-    """Return the (n_b1, n_b2, 2) mask of unknowns for a boundary mode.
+def free_coefficients(n_coefficients: tuple[int, ...], boundary: Boundary) -> Bools:
+    """Return the (*n_coefficients, d_par) mask of unknowns for a boundary mode.
 
     Examples
     --------
-    >>> int(free_coefficients((8, 8), "fixed").sum()), int(free_coefficients((8, 8), "sliding").sum())
-    (72, 96)
+    >>> [int(free_coefficients((8, 8), b).sum()) for b in ("fixed", "sliding", "periodic")]
+    [72, 96, 112]
+    >>> [int(free_coefficients((8,), b).sum()) for b in ("fixed", "periodic")]
+    [6, 8]
     """
-    free = np.ones((*n_coefficients, 2), dtype=bool)
-    free[[0, -1], :, 0] = False
-    free[:, [0, -1], 1] = False
-    if boundary == "fixed":
-        free[:, [0, -1], 0] = False
-        free[[0, -1], :, 1] = False
+    free = np.ones((*n_coefficients, len(n_coefficients)), dtype=bool)
+    if boundary != "periodic":
+        free[[0, -1], ..., 0] = False
+    if len(n_coefficients) == 2:
+        free[:, [0, -1], 1] = False
+        if boundary == "fixed":
+            free[:, [0, -1], 0] = False
+            free[[0, -1], :, 1] = False
+        elif boundary == "sliding":
+            free[[0, -1], [0, -1], :] = False
+            free[[0, -1], [-1, 0], :] = False
     return free

@@ -103,7 +103,7 @@ class SplineStack:
                 )
         self.n_shapes = len(splines)
         self.dimension = first.dimension
-        self.degrees = first.degrees
+        self.degrees: tuple[int, ...] = first.degrees
         self.n_directions = len(first.degrees)
         self.periodic = periodic or (False,) * self.n_directions
         self._ends = tuple(breakpoints(k) for k in first.knot_vectors)

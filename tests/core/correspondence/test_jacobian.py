@@ -5,18 +5,17 @@ from hypothesis import strategies as st
 from scipy.interpolate import NdBSpline
 
 from ssmpipe.core.correspondence.certificate import certify
-from ssmpipe.core.correspondence.jacobian import BezierJacobian, bernstein_matrix, largest_feasible_step
+from ssmpipe.core.correspondence.jacobian import Jacobian, bernstein_matrix, largest_feasible_step
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
-from ssmpipe.core.spline.basis import design_matrix
+from ssmpipe.core.spline.knots import clamped_uniform_knots
 
 
 def dense_jacobian(coefficients, reparameterization, n=401):
-    p = reparameterization.degree
     t = np.linspace(0, 1, n)
-    value, slope = ([design_matrix(t, k, p, r) for k in reparameterization.knots] for r in (0, 1))
-    c = np.moveaxis(coefficients, -1, 0)
+    value, slope = ([d.matrix(t, r) for d in reparameterization.directions] for r in (0, 1))
+    c = np.moveaxis(coefficients - reparameterization.identity(), -1, 0)
     du, dv = slope[0] @ c @ value[1].T, value[0] @ c @ slope[1].T
-    return du[0] * dv[1] - du[1] * dv[0]
+    return (1 + du[0]) * (1 + dv[1]) - du[1] * dv[0]
 
 
 @pytest.mark.parametrize("degree", [2, 3])
@@ -24,26 +23,42 @@ def test_bernstein_form_equals_dense_evaluation(degree):
     reparameterization = Reparameterization((degree + 4, degree + 3), (3, 3), degree=degree)
     rng = np.random.default_rng(0)
     b = reparameterization.identity() + 0.1 * rng.normal(size=reparameterization.identity().shape)
-    jacobian = BezierJacobian(reparameterization.knots, degree)
-    patches = jacobian.patches(jacobian.coefficients(b[None]))[0]
+    jacobian = Jacobian(reparameterization)
+    spans_u, spans_v = jacobian.n_spans
+    m = jacobian.degree + 1
+    patches = jacobian.patches(jacobian.coefficients(b[None]))[0].reshape(spans_u, spans_v, m, m)
     t = np.linspace(0, 1, 11)
     basis = bernstein_matrix(t, jacobian.degree)
-    spans_u, spans_v = patches.shape[:2]
     values = np.einsum("ka,stab,lb->sktl", basis, patches, basis)
     u = ((np.arange(spans_u)[:, None] + t * (1 - 1e-12)) / spans_u).ravel()
     v = ((np.arange(spans_v)[:, None] + t * (1 - 1e-12)) / spans_v).ravel()
-    spline = NdBSpline(reparameterization.knots, b, (degree, degree))
+    knots = tuple(clamped_uniform_knots(n, degree) for n in reparameterization.n_coefficients)
+    spline = NdBSpline(knots, b, (degree, degree))
     uv = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1)
     du, dv = spline(uv, nu=(1, 0)), spline(uv, nu=(0, 1))
     det = du[..., 0] * dv[..., 1] - du[..., 1] * dv[..., 0]
     np.testing.assert_allclose(values.reshape(len(u), len(v)), det, atol=1e-8)
 
 
-def test_pull_back_and_rows_are_the_derivative():
-    reparameterization = Reparameterization((6, 5), (3, 3))
-    jacobian = BezierJacobian(reparameterization.knots, 2)
+SPACES = [
+    ((6, 5), "fixed", 2),
+    ((6, 5), "sliding", 3),
+    ((6, 5), "periodic", 2),
+    ((7,), "fixed", 2),
+    ((7,), "periodic", 3),
+]
+
+
+@pytest.mark.parametrize(("n", "boundary", "degree"), SPACES)
+@pytest.mark.parametrize("form", ["bezier", "bspline", "sampled"])
+def test_pull_back_and_rows_are_the_derivative(n, boundary, degree, form):
+    if form == "bspline" and boundary == "periodic":
+        pytest.skip("the B-spline form is for fixed and sliding boundaries")
+    reparameterization = Reparameterization(n, (9,) * len(n), boundary=boundary, degree=degree)
+    jacobian = Jacobian(reparameterization, form)
     rng = np.random.default_rng(1)
-    b = reparameterization.identity()[None] + 0.05 * rng.normal(size=(2, 6, 5, 2))
+    identity = reparameterization.identity()
+    b = identity[None] + 0.05 * rng.normal(size=(2, *identity.shape))
     d = rng.normal(size=b.shape)
     j0 = jacobian.coefficients(b)
     first, second = jacobian.along(b, d, j0)
@@ -100,3 +115,35 @@ def test_maps_near_a_fold_are_decided():
     for share, verdict in ((0.98, "proved"), (1.05, "refuted")):
         certificate = certify(reparameterization.identity() + share * low * direction, reparameterization)
         assert certificate.verdict == verdict
+
+
+@pytest.mark.parametrize(("n", "boundary", "degree"), SPACES)
+def test_forms_bound_or_sample_the_same_polynomial(n, boundary, degree):
+    reparameterization = Reparameterization(n, (40,) * len(n), boundary=boundary, degree=degree)
+    identity = reparameterization.identity()
+    b = identity + 0.02 * np.random.default_rng(3).normal(size=identity.shape)
+    sampled = Jacobian(reparameterization, "sampled").coefficients(b[None]).min()
+    bezier = Jacobian(reparameterization).coefficients(b[None]).min()
+    assert bezier <= sampled + 1e-12
+    if boundary != "periodic":
+        bspline = Jacobian(reparameterization, "bspline").coefficients(b[None]).min()
+        assert bspline <= bezier + 1e-9
+
+
+def test_periodic_maps_turn_and_are_certified():
+    reparameterization = Reparameterization((6, 5), (12, 7), boundary="periodic")
+    b = reparameterization.identity()
+    b[..., 0] += 0.3
+    u = reparameterization.evaluate(b[None]).reshape(12, 7, 2)
+    np.testing.assert_allclose(u[..., 0], np.arange(12)[:, None] / 12 + 0.3 + np.zeros((1, 7)), atol=1e-12)
+    np.testing.assert_allclose(u[0, :, 1], np.linspace(0, 1, 7), atol=1e-12)
+    assert certify(b, reparameterization).verdict == "proved"
+    assert certify(b, reparameterization).lower_bound == pytest.approx(1.0, abs=1e-9)
+
+
+def test_curve_certificate_proves_and_refutes():
+    reparameterization = Reparameterization((8,), (11,))
+    b = reparameterization.identity()
+    assert certify(b, reparameterization).verdict == "proved"
+    b[4] = b[2] - 0.01
+    assert certify(b, reparameterization).verdict == "refuted"

@@ -1,32 +1,74 @@
 import numpy as np
 import pytest
 
+from ssmpipe.core.correspondence.barrier import Barrier
+from ssmpipe.core.correspondence.measure import landmark_rule
 from ssmpipe.core.correspondence.objective import GroupObjective
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
+from ssmpipe.core.correspondence.sensitivity import direct_gradient, finite_difference_gradient
+from ssmpipe.core.correspondence.spectral import spectral_function
+from ssmpipe.core.spline.basis import design_matrix
+from ssmpipe.core.spline.curve import BSplineCurve
 from ssmpipe.core.spline.evaluate import SplineStack
+from ssmpipe.core.spline.knots import clamped_uniform_knots
 from tests.support.surfaces import bumps, taylor_rate
 
+t = np.linspace(0, 2 * np.pi, 60)
 
-def objective(covariance="discrete", boundary="fixed", reference=1, **options):
-    reparameterization = Reparameterization((7, 6), (21, 23), boundary=boundary)
-    stack = SplineStack(bumps(5))
+
+def fit_curve_through(points):
+    knots = clamped_uniform_knots(14, 3)
+    design = design_matrix(np.linspace(0, 1, len(points)), knots, 3)
+    control = np.linalg.lstsq(design, points, rcond=None)[0]
+    control[-1] = control[0]
+    return BSplineCurve(3, knots, control)
+
+
+CURVES = [fit_curve_through(np.stack([np.cos(t), np.sin(t) * (1 + 0.3 * k)], axis=1)) for k in range(4)]
+
+
+def objective(
+    covariance="discrete", boundary="fixed", reference=1, spectral="description-length", curves=False, **options
+):
+    n, grid = ((7,), (31,)) if curves else ((7, 6), (21, 23))
+    space = Reparameterization(n, grid, boundary=boundary)
+    nodes, base = landmark_rule(space, grid, "grid" if covariance == "discrete" else "gauss")
+    stack = SplineStack(CURVES if curves else bumps(5), space.periodic)
+    function = spectral_function(spectral, 1e-3)
     return GroupObjective(
-        stack, reparameterization, lambda_cut=1e-3, covariance=covariance, reference=reference, **options
+        stack, space.at(nodes), function, base_weights=base, covariance=covariance, reference=reference, **options
     )
 
 
-@pytest.mark.parametrize("covariance", ["discrete", "II"])
-@pytest.mark.parametrize("boundary", ["fixed", "sliding"])
-@pytest.mark.parametrize("reference", [1, -1])
-@pytest.mark.parametrize("terms", [{"prior": 0, "barrier": 0}, {"prior": 0.3, "barrier": 0.7, "floor": 0.05}])
-def test_gradient_is_exact(covariance, boundary, reference, terms):
-    f = objective(covariance, boundary, reference, **terms)
-    rng = np.random.default_rng(0)
-    x = f.start() + 0.01 * rng.normal(size=f.start().size)
-    direction = rng.normal(size=x.size)
+def check_gradient(f, seed=0):
+    rng = np.random.default_rng(seed)
+    x = f.start() + f._keep_gauge(0.01 * rng.normal(size=f.start().size))
+    direction = f._keep_gauge(rng.normal(size=x.size))
     direction /= np.linalg.norm(direction) * 10
-    rate = taylor_rate(lambda y: f.value_and_gradient(y)[0], f.value_and_gradient(x)[1], x, direction)
-    assert rate > 1.8
+    return taylor_rate(lambda y: f.value_and_gradient(y)[0], f.value_and_gradient(x)[1], x, direction)
+
+
+@pytest.mark.parametrize("covariance", ["discrete", "I", "II"])
+@pytest.mark.parametrize("boundary", ["fixed", "sliding", "periodic"])
+@pytest.mark.parametrize("reference", [1, -1])
+@pytest.mark.parametrize("curves", [False, True])
+def test_gradient_is_exact(covariance, boundary, reference, curves):
+    f = objective(
+        covariance, boundary, reference, curves=curves, prior=0.3, barrier=0.7, constraint=Barrier(floor=0.05)
+    )
+    assert check_gradient(f) > 1.8
+
+
+@pytest.mark.parametrize("spectral", ["description-length", "log-determinant", "trace"])
+def test_gradient_of_every_spectral_function_is_exact(spectral):
+    assert check_gradient(objective(spectral=spectral, barrier=0)) > 1.8
+
+
+@pytest.mark.parametrize("form", ["bezier", "bspline", "sampled"])
+@pytest.mark.parametrize("aggregate", ["each", "ks"])
+def test_gradient_of_every_constraint_is_exact(form, aggregate):
+    f = objective(form=form, constraint=Barrier(aggregate, 0.0, 25.0), barrier=5.0)
+    assert check_gradient(f) > 1.8
 
 
 def test_a_gradient_wrong_by_a_thousandth_is_seen():
@@ -36,6 +78,23 @@ def test_a_gradient_wrong_by_a_thousandth_is_seen():
     direction = rng.normal(size=x.size)
     direction /= np.linalg.norm(direction) * 10
     assert taylor_rate(lambda y: f.value_and_gradient(y)[0], 1.001 * f.value_and_gradient(x)[1], x, direction) < 1.5
+
+
+@pytest.mark.parametrize("curves", [False, True])
+def test_direct_adjoint_and_differences_agree(curves):
+    f = objective(curves=curves, barrier=0)
+    rng = np.random.default_rng(0)
+    x = f.start() + 0.01 * rng.normal(size=f.start().size)
+    adjoint = f.spectral_gradient(x)[1]
+    direct = direct_gradient(f, x)
+    differences = finite_difference_gradient(f, x, 1e-7)
+    assert np.abs(direct - adjoint).max() < 1e-9 * np.abs(adjoint).max()
+    assert np.abs(differences - adjoint).max() < 1e-4 * np.abs(adjoint).max()
+
+
+def test_outside_the_feasible_set_the_objective_is_infinite():
+    f = objective()
+    assert f.value_and_gradient(f.start() + 0.6 * np.random.default_rng(0).normal(size=f.start().size))[0] == np.inf
 
 
 def test_pull_back_is_the_transpose_of_evaluate():
@@ -50,12 +109,13 @@ def test_pull_back_is_the_transpose_of_evaluate():
 
 
 def test_description_length_does_not_depend_on_the_order_of_the_shapes():
+    length = spectral_function("description-length", 1e-3)
     surfaces = bumps(5)
     reparameterization = Reparameterization((6, 6), (21, 21))
     order = [3, 0, 4, 1, 2]
-    a = GroupObjective(SplineStack(surfaces), reparameterization, lambda_cut=1e-3)
-    b = GroupObjective(SplineStack([surfaces[i] for i in order]), reparameterization, lambda_cut=1e-3)
-    assert a.description_length(a.start()) == pytest.approx(b.description_length(b.start()), rel=1e-10)
+    a = GroupObjective(SplineStack(surfaces), reparameterization, length)
+    b = GroupObjective(SplineStack([surfaces[i] for i in order]), reparameterization, length)
+    assert a.spectral_value(a.start()) == pytest.approx(b.spectral_value(b.start()), rel=1e-10)
 
 
 def test_preconditioner_is_symmetric_and_positive():
@@ -71,10 +131,10 @@ def test_preconditioner_is_symmetric_and_positive():
 def test_gauss_newton_block_matches_its_definition():
     reparameterization = Reparameterization((5, 6), (7, 8))
     rng = np.random.default_rng(5)
-    metric = rng.normal(size=(56, 3))
+    metric = rng.normal(size=(56, 2, 2))
+    metric = metric + np.swapaxes(metric, 1, 2)
     dense = reparameterization.normal_blocks(metric)
+    at_zero = reparameterization.evaluate(np.full((1, 5, 6, 2), 0.25))[0]
     unit = np.eye(5 * 6 * 2).reshape(-1, 5, 6, 2)
-    values = np.stack([(reparameterization.evaluate(0.25 + 0.5 * e[None]) - 0.25)[0] / 0.5 for e in unit])
-    full = np.empty((56, 2, 2))
-    full[:, 0, 0], full[:, 0, 1], full[:, 1, 0], full[:, 1, 1] = metric[:, 0], metric[:, 1], metric[:, 1], metric[:, 2]
-    np.testing.assert_allclose(dense, np.einsum("alc,lcd,bld->ab", values, full, values), atol=1e-10)
+    values = np.stack([(reparameterization.evaluate(0.25 + 0.5 * e[None])[0] - at_zero) / 0.5 for e in unit])
+    np.testing.assert_allclose(dense, np.einsum("alc,lcd,bld->ab", values, metric, values), atol=1e-10)
