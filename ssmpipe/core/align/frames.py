@@ -87,7 +87,8 @@ def femur_distal_frame(mesh: TriMesh, n_rounds: int = 6) -> Frame:
     Raises
     ------
     GeometryError
-        If the piece has too little shaft, no fossa between two condyles, or no shaft thinner than the condyles.
+        If the piece has too little shaft, no fossa between two condyles, or no shaft that is thinner than the condyles and
+        of even thickness.
     """
     z = _shaft_direction(mesh)
     # independent of where the mesh lies: work about its own centroid
@@ -120,10 +121,13 @@ def femur_distal_frame(mesh: TriMesh, n_rounds: int = 6) -> Frame:
         z = direction if direction @ z > 0 else -direction
     lowest = float((points @ z).min())
     thick = float(section_areas(local, z, lowest + width * np.linspace(0.1, 0.5, 9))[0].max())
-    if tangent < 0.3 or float(np.median(areas[areas > 0])) > 0.7 * thick:
+    shaft = areas[areas > 0]
+    share, spread = float(np.median(shaft)) / thick, float(shaft.max() / shaft.min())
+    if tangent < 0.3 or share > 0.7 or spread > 2.5:
         raise GeometryError(
             f"no distal femur recognized: the straight side over the fossa is {tangent:.2f} widths long (expected 0.5), the shaft has "
-            f"{100 * float(np.median(areas[areas > 0])) / thick:.0f} % of the condyles' section (expected 20 to 50 %)",
+            f"{100 * share:.0f} % of the condyles' section (expected 20 to 50 %), its largest section is {spread:.1f} times its "
+            "smallest (expected 1.2 to 1.6)",
             "check that the scan shows one distal femur, or assign the roles lateral, medial and proximal to landmarks",
         )
     x = np.cross(y, z)

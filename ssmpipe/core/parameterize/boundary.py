@@ -26,7 +26,7 @@ def rim_of(mesh: TriMesh) -> Ints:
     if len(loops) != 1:
         raise TopologyError(
             f"the surface has {len(loops)} boundary loops, a map to the square needs exactly one",
-            "trim the surface first" if not loops else "close the other openings with fill-holes",
+            "trim the surface first" if not loops else "close the other openings in the segmentation",
         )
     return loops[0]
 

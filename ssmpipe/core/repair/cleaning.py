@@ -110,7 +110,7 @@ def clean(
         large = np.array([int(np.argmax(share))])
     if len(large) > 1 and components == "one":
         raise TopologyError(
-            _describe_components(split, label, share, large), "keep the largest with components: largest"
+            _describe_components(split, label, share, large), "remove the others in the segmentation, or keep the largest with repair.components: largest"
         )
     keep = int(large[np.argmax(share[large])])
     changes["dropped_components"] = len(area) - 1
@@ -330,7 +330,7 @@ def check_openings(mesh: TriMesh, max_openings: int) -> None:
     expected = "a closed surface is expected" if max_openings == 0 else f"at most {max_openings} expected"
     raise TopologyError(
         f"the surface has {len(loops)} opening{'s' if len(loops) > 1 else ''} of {text} mm length; {expected}",
-        "close them in the segmentation or with fill-holes, or allow them with max_openings",
+        "close them in the segmentation, or allow them with repair.max_openings",
     )
 
 

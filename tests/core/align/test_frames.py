@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 from ssmpipe.core.align.frames import femur_distal_frame, landmark_frame, principal_frame
 from ssmpipe.core.align.rigid import apply, move, reflection, rotation_angle
@@ -38,6 +39,24 @@ def test_a_ball_is_not_a_femur():
         femur_distal_frame(sphere(40.0))
     with pytest.raises(GeometryError, match=r"no distal femur recognized: the straight side over the fossa is 0"):
         femur_distal_frame(TriMesh(sphere(40.0).vertices * [1.0, 0.8, 3.0], sphere().faces))
+
+
+def test_a_tapering_lump_is_not_a_femur():
+    angle = np.linspace(0, np.pi, 20)
+    base = 40 * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    points = np.vstack([base, 0.05 * base + [0, 0, 180.0]])
+    hull = ConvexHull(points)
+    outward = (
+        np.einsum(
+            "ij,ij->i",
+            np.cross(*(points[hull.simplices[:, k]] - points[hull.simplices[:, 0]] for k in (1, 2))),
+            hull.equations[:, :3],
+        )
+        > 0
+    )
+    faces = np.where(outward[:, None], hull.simplices, hull.simplices[:, ::-1])
+    with pytest.raises(GeometryError, match=r"its largest section is \d+\.\d times its smallest"):
+        femur_distal_frame(TriMesh(points, faces))
 
 
 @needs_femora
