@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from ssmpipe.contract import Context, Port, Stage, StageConfig
 from ssmpipe.core.arrays import Floats
@@ -32,6 +32,12 @@ class Config(StageConfig):
         ),
     ] = 0.005
 
+    @model_validator(mode="after")
+    def _enough(self) -> Config:
+        if min(self.n_control) <= self.degree:
+            raise ValueError(f"n_control must be at least degree + 1 = {self.degree + 1} per direction")
+        return self
+
 
 def run(*, samples: Floats, mesh: TriMesh, cfg: Config, ctx: Context) -> dict[str, Any]:
     """Fit, and report RMS and maximum distance both ways."""
@@ -48,7 +54,7 @@ def run(*, samples: Floats, mesh: TriMesh, cfg: Config, ctx: Context) -> dict[st
     if rms > cfg.max_rms * size:
         ctx.warn(
             f"the spline is {rms:.3g} mm RMS away from the mesh ({100 * rms / size:.2f} % of its size); "
-            "raise fit.n_control and sample.n_samples, or look at the parameterization"
+            "raise fit.n_control and sample.grid, or look at the parameterization"
         )
     return {"surface": surface}
 

@@ -13,11 +13,11 @@ from ssmpipe.core.mesh.operators import volume
 from ssmpipe.core.mesh.primitives import sphere, star_shape, torus, tube
 from ssmpipe.core.mesh.topology import boundary_loops, euler_characteristic
 from ssmpipe.core.mesh.trimesh import TriMesh
-from ssmpipe.stages import align, decimate, orient, parameterize, repair, sample, smooth, trim
+from ssmpipe.stages import align, decimate, fit, orient, parameterize, repair, sample, smooth, trim
 from tests.support.femora import DATA, femur, landmark, needs_femora, needs_vertebrae, read, sides
 from tests.support.meshes import joined, random_motion
 
-CHAIN = (repair, orient, trim, smooth, decimate, align, parameterize, sample)
+CHAIN = (repair, orient, trim, smooth, decimate, align, parameterize, sample, fit)
 
 
 def go(stage, **inputs):
@@ -53,7 +53,7 @@ class TestRepair:
         kept, ctx = go(repair, mesh=two, options={"components": "largest"})
         assert volume(kept["mesh"]) == pytest.approx(volume(sphere(10.0)))
         assert "44.8 % of the area were dropped" in ctx.warnings[0]
-        with pytest.raises(TopologyError, match=r"2 openings.*at most 1 expected.*max_openings"):
+        with pytest.raises(TopologyError, match=r"2 openings.*at most 1 expected.*repair\.max_openings"):
             go(repair, mesh=tube())
         with pytest.raises(TopologyError, match=r"1 opening .*a closed surface is expected"):
             go(
@@ -253,3 +253,22 @@ def test_chain_on_two_real_femora_left_and_right():
         assert ctx.metrics["stretch"] < 1.5
         assert ctx.metrics["n_flips"] == 0
         assert go(sample, mesh=mapped["mesh"], uv=mapped["uv"])[0]["samples"].shape == (200, 200, 3)
+
+
+class TestFit:
+    def test_distances_both_ways_and_a_warning_when_they_are_large(self):
+        disk = go(trim, mesh=star_shape(4), options={"distance_mm": 60.0})[0]["mesh"]
+        uv = go(parameterize, mesh=disk, landmarks=None)[0]
+        samples, _ = go(sample, **uv, options={"grid": (60, 60)})
+        outputs, ctx = go(fit, **samples, mesh=uv["mesh"], options={"n_control": (20, 20)})
+        assert outputs["surface"].control_points.shape == (20, 20, 3)
+        rms, largest = ctx.metrics["mesh_to_spline_rms_mm"], ctx.metrics["mesh_to_spline_max_mm"]
+        assert 0 < rms < 0.1 < 10 * largest
+        assert 0 < ctx.metrics["spline_to_mesh_rms_mm"] < ctx.metrics["spline_to_mesh_max_mm"] < 1
+        assert not ctx.warnings
+        _, ctx = go(fit, **samples, mesh=uv["mesh"], options={"n_control": (4, 4)})
+        assert "raise fit.n_control and sample.grid" in ctx.warnings[0]
+
+    def test_too_few_control_points_are_refused_with_the_config(self):
+        with pytest.raises(ValidationError, match=r"at least degree \+ 1 = 4 per direction"):
+            fit.Config(degree=3, n_control=(3, 20))
