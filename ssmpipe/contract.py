@@ -11,26 +11,27 @@ Artifacts by slot:
 slot              Python object                                                                file
 ================  ===========================================================================  ==================
 mesh              :class:`ssmpipe.core.mesh.trimesh.TriMesh`                                   mesh.ply (float64)
+contour           :class:`ssmpipe.core.outline.outline.Outline`                                contour.csv
 landmarks         :class:`Landmarks`                                                           landmarks.json
 transform         (4, 4) float64, scan coordinates to the current frame [mm]                   transform.json
 info              :class:`ShapeInfo`                                                           info.json
 uv                (n_vertices, 2) float64 in the unit square, one row per mesh vertex          uv.npz
 samples           (n_u, n_v, 3) float64                                                        samples.npz
-surface           :class:`ssmpipe.core.spline.surface.BSplineSurface`                          surface.npz
-reference         TriMesh that all shapes are aligned to; made by ``Stage.prepare``            reference.ply
+surface           :class:`ssmpipe.core.spline.surface.BSplineSurface` or BSplineCurve          surface.npz
+reference         what all shapes are aligned to, TriMesh or Outline; by ``Stage.prepare``     reference.ply, .csv
 correspondence    :class:`ssmpipe.core.correspondence.correspondence.Correspondence`           correspondence.npz
 certificate       dict, kind ``json``                                                          certificate.json
 history           :class:`Table`                                                               history.csv
 model             :class:`ssmpipe.core.model.shape_model.ShapeModel`                           model.npz, model.h5
 scores, measures  :class:`Table`                                                               scores.csv ...
-any               dict name -> TriMesh, kind ``meshes``                                        <name>.ply for each
+any               dict name -> TriMesh or Outline, kind ``meshes``                             <name>.ply or .csv
 ================  ===========================================================================  ==================
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -87,8 +88,8 @@ class Landmarks:
         return None
 
     def transformed(self, matrix: Floats) -> Landmarks:
-        """Return the landmarks moved by a (4, 4) homogeneous ``matrix``."""
-        moved = {name: matrix[:3, :3] @ p + matrix[:3, 3] for name, p in self.points.items()}
+        """Return the landmarks moved by a (4, 4) homogeneous ``matrix``; planar ones by its part in the plane."""
+        moved = {name: matrix[: len(p), : len(p)] @ p + matrix[: len(p), 3] for name, p in self.points.items()}
         return Landmarks(moved, self.roles)
 
 
@@ -175,6 +176,8 @@ class Stage:
         cohort before the per-shape runs and makes the inputs that are common to all (the reference of ``align``).
         The slots that it makes are listed in ``prepared``.
     prepared : tuple of Port
+    variants : tuple of Stage
+        The same stage, by the same name and scope, for other kinds of input, with options and ports of their own.
     """
 
     name: str
@@ -188,3 +191,20 @@ class Stage:
     cites: tuple[str, ...] = ()
     prepare: Callable[..., dict[str, Any]] | None = None
     prepared: tuple[Port, ...] = ()
+    variants: tuple[Stage, ...] = ()
+
+    def suiting(self, slots: Collection[str]) -> Stage:
+        """Return this stage or the first of its variants whose required inputs are among ``slots``; itself if none is.
+
+        Examples
+        --------
+        >>> flat = Stage("a", "shape", 1, StageConfig, dict, (Port("contour", "outline"),), ())
+        >>> solid = Stage("a", "shape", 1, StageConfig, dict, (Port("mesh", "trimesh"),), (), variants=(flat,))
+        >>> solid.suiting({"contour"}) is flat, solid.suiting({"mesh"}) is solid
+        (True, True)
+        """
+        for stage in (self, *self.variants):
+            ready = {port.slot for port in stage.prepared}
+            if all(port.optional or port.slot in ready or port.slot in slots for port in stage.inputs):
+                return stage
+        return self

@@ -15,9 +15,11 @@ from ssmpipe.contract import Landmarks, ShapeInfo
 from ssmpipe.core.correspondence.correspondence import Correspondence
 from ssmpipe.core.errors import ArtifactError
 from ssmpipe.core.model.shape_model import ShapeModel
+from ssmpipe.core.outline.outline import Outline
 from ssmpipe.io.arrays import read_npz, write_npz
 from ssmpipe.io.meshes import read_mesh, write_mesh
-from ssmpipe.io.splines import read_surface, write_surface
+from ssmpipe.io.outlines import read_outline, write_outline
+from ssmpipe.io.splines import read_spline, write_spline
 from ssmpipe.io.statismo import write_statismo
 from ssmpipe.io.tables import read_table, read_text, write_table
 
@@ -34,7 +36,7 @@ def save_artifact(kind: str, slot: str, obj: Any, folder: Path) -> list[str]:
     Parameters
     ----------
     kind : str
-        ``trimesh landmarks transform info uv samples surface correspondence model table json meshes``.
+        ``trimesh outline landmarks transform info uv samples surface correspondence model table json meshes``.
     slot : str
         Its name in the chain; the file is named after it.
     obj : object
@@ -129,14 +131,24 @@ def _load_trimesh(paths: list[Path]) -> Any:
 
 
 def _save_meshes(slot: str, obj: Any, folder: Path) -> list[str]:
-    files = [f"{_safe(name)}.ply" for name in sorted(obj)]
-    for name in obj:
-        write_mesh(folder / f"{name}.ply", obj[name])
+    files = []
+    for name in sorted(obj):
+        save = _save_outline if isinstance(obj[name], Outline) else _save_trimesh
+        files += save(_safe(name), obj[name], folder)
     return files
 
 
 def _load_meshes(paths: list[Path]) -> Any:
-    return {path.name.removesuffix(".ply"): read_mesh(path) for path in paths}
+    return {path.name[:-4]: read_outline(path) if path.suffix == ".csv" else read_mesh(path) for path in paths}
+
+
+def _save_outline(slot: str, obj: Any, folder: Path) -> list[str]:
+    write_outline(folder / f"{slot}.csv", obj)
+    return [f"{slot}.csv"]
+
+
+def _load_outline(paths: list[Path]) -> Any:
+    return read_outline(paths[0])
 
 
 def _save_landmarks(slot: str, obj: Landmarks, folder: Path) -> list[str]:
@@ -186,12 +198,12 @@ def _array_codec(name: str) -> tuple[Callable[..., list[str]], Callable[..., Any
 
 
 def _save_surface(slot: str, obj: Any, folder: Path) -> list[str]:
-    write_surface(folder / f"{slot}.npz", obj)
+    write_spline(folder / f"{slot}.npz", obj)
     return [f"{slot}.npz"]
 
 
 def _load_surface(paths: list[Path]) -> Any:
-    return read_surface(paths[0])
+    return read_spline(paths[0])
 
 
 def _save_correspondence(slot: str, obj: Correspondence, folder: Path) -> list[str]:
@@ -258,6 +270,7 @@ def _load_json(paths: list[Path]) -> Any:
 
 _CODECS: dict[str, tuple[Callable[..., list[str]], Callable[..., Any]]] = {
     "trimesh": (_save_trimesh, _load_trimesh),
+    "outline": (_save_outline, _load_outline),
     "landmarks": (_save_landmarks, _load_landmarks),
     "transform": (_save_transform, _load_transform),
     "info": (_save_info, _load_info),

@@ -38,7 +38,7 @@ class ScanCheck:
     n_components: int | None = None
     n_loops: int | None = None
     genus: int | None = None
-    size: tuple[float, float, float] | None = None
+    size: tuple[float, ...] | None = None
     n_landmarks: int = 0
     farthest: float | None = None
     warnings: tuple[str, ...] = ()
@@ -49,10 +49,10 @@ def inspect(source: Source) -> ScanCheck:
     """Read a scan and describe it; everything that is wrong with it ends in ``error`` or ``warnings``."""
     found = ScanCheck(source.id, source.path.name, source.side, n_landmarks=len(source.landmarks or {}))
     try:
-        if source.is_spline:
+        if source.kind == "spline":
             source.load()
             return found
-        return _inspect_mesh(source, found)
+        return _inspect_outline(source, found) if source.kind == "outline" else _inspect_mesh(source, found)
     except SsmpipeError as error:
         return replace(found, error=str(error))
     except OSError as error:
@@ -118,6 +118,24 @@ def _inspect_mesh(source: Source, found: ScanCheck) -> ScanCheck:
     if preset is not None and preset.needs_side and source.side is None:
         warnings.append("side is unknown; add a column side (L or R) to the cohort table")
     return replace(found, warnings=tuple(warnings), error="; ".join(errors))
+
+
+def _inspect_outline(source: Source, found: ScanCheck) -> ScanCheck:
+    import numpy as np
+
+    from ssmpipe.core.outline.outline import Outline, crossings
+    from ssmpipe.io.outlines import read_outline
+
+    factor = TO_MM[source.units]
+    outline = read_outline(source.path)
+    outline = Outline(outline.points * factor, outline.closed)
+    n_crossings = len(crossings(outline))
+    warnings = [f"the outline crosses itself {n_crossings} times"] if n_crossings else []
+    points = {name: factor * np.array(p) for name, p in (source.landmarks or {}).items()}
+    found = replace(found, n_vertices=len(outline.points), size=tuple(float(x) for x in np.ptp(outline.points, axis=0)))
+    found = replace(found, farthest=max(landmark_distances(outline, points).values(), default=None))
+    warnings += check_landmarks(outline, points, source.tolerance_mm, source.units)
+    return replace(found, warnings=tuple(warnings))
 
 
 def check_project(project: Project, jobs: int | None = None) -> list[ScanCheck]:

@@ -19,7 +19,16 @@ from ssmpipe.runner.fingerprint import file_digest
 from ssmpipe.runner.plan import Plan, PlanError, Step, make_plan
 from ssmpipe.runner.presets import PRESETS, find_preset
 from ssmpipe.runner.registry import RESERVED, Registry
-from ssmpipe.runner.sources import ID, Source, by_id, find_sources, scan_files
+from ssmpipe.runner.sources import (
+    ID,
+    KINDS,
+    OUTLINE_SUFFIXES,
+    SPLINE_SUFFIX,
+    Source,
+    by_id,
+    find_sources,
+    scan_files,
+)
 from ssmpipe.runner.suggest import did_you_mean
 
 
@@ -154,24 +163,32 @@ def load_project(path: Path, overrides: Sequence[str] = (), registry: Registry |
     problems: list[str] = []
     config = _validated(RunConfig, document.data, (), document, problems)
     entries = _chain(document, registry, problems)
-    prepared: list[Step] = []
-    for entry in entries:
-        step = _step(entry, document, registry, base, problems)
-        if step is not None:
-            prepared.append(step)
     if not entries and not problems:
         problems.append(
             f"{document.where(('stages',))}: stages: the chain is empty; set anatomy: {' | '.join(PRESETS)}, or list stages"
         )
+    planar = any(entry.stage == "contour" for entry in entries)
+    later: list[str] = []  # problems of the inputs come after those of the stages
     sources: list[Source] = []
     warnings: list[str] = []
     if config is not None:
-        sources, warnings = _sources(config, document, base, problems)
+        sources, warnings = _sources(config, document, base, later, planar=planar)
     kinds = dict(sources[0].kinds) if sources else {}
-    if kinds and len({s.is_spline for s in sources}) > 1:
-        problems.append(
-            f"{document.where(('input', 'scans'))}: input.scans: meshes and splines cannot be mixed in one cohort"
+    mixed = sorted({s.kind for s in sources})
+    if len(mixed) > 1:
+        later.append(
+            f"{document.where(('input', 'scans'))}: input.scans: {' and '.join(mixed)} files cannot be mixed in one cohort"
         )
+    available = set(kinds)
+    if not kinds or mixed == ["spline"]:  # splines skip the stages before, whose options are checked all the same
+        available |= set(KINDS["outline" if planar else "mesh"])
+    prepared: list[Step] = []
+    for entry in entries:
+        step = _step(entry, available, document, registry, base, problems)
+        if step is not None:
+            prepared.append(step)
+            available |= {port.slot for port in step.stage.outputs}
+    problems += later
     if kinds and not problems:
         prepared = _enter(prepared, kinds)
         try:
@@ -429,9 +446,11 @@ def _check_reserved(extra: Mapping[str, Any]) -> tuple[str, str] | None:
     return None
 
 
-def _step(entry: _Entry, document: Document, registry: Registry, base: Path, problems: list[str]) -> Step | None:
+def _step(
+    entry: _Entry, available: set[str], document: Document, registry: Registry, base: Path, problems: list[str]
+) -> Step | None:
     try:
-        stage = registry.load(entry.stage)
+        stage = registry.load(entry.stage).suiting(available)
     except ConfigError as error:
         problems.append(f"{document.where(entry.loc)}: {error}")
         return None
@@ -465,6 +484,15 @@ def _prepared_files(stage: Stage, options: dict[str, Any], base: Path) -> dict[s
     return files
 
 
+def variant_stages(names: Sequence[str], available: Iterable[str], registry: Registry) -> dict[str, Stage]:
+    """Return the stages of a chain by name, in the variant that suits what the scans and the stages before it provide."""
+    slots, found = set(available), {}
+    for name in names:
+        found[name] = registry.load(name).suiting(slots)
+        slots |= {port.slot for port in found[name].outputs}
+    return found
+
+
 def _enter(steps: list[Step], kinds: Mapping[str, str]) -> list[Step]:
     """Let splines enter where the first surface is read: the per-shape steps before it have nothing to do."""
     if "surface" not in kinds:
@@ -476,12 +504,15 @@ def _enter(steps: list[Step], kinds: Mapping[str, str]) -> list[Step]:
 # --- the inputs ----------------------------------------------------------------------------------------------------
 
 
-def _sources(config: RunConfig, document: Document, base: Path, problems: list[str]) -> tuple[list[Source], list[str]]:
+def _sources(
+    config: RunConfig, document: Document, base: Path, problems: list[str], *, planar: bool = False
+) -> tuple[list[Source], list[str]]:
     from ssmpipe.io.landmarks import read_landmarks
     from ssmpipe.io.meshes import MESH_SUFFIXES
     from ssmpipe.io.tables import read_cohort
-    from ssmpipe.runner.sources import SPLINE_SUFFIX
 
+    in_folders = (*(OUTLINE_SUFFIXES if planar else MESH_SUFFIXES), SPLINE_SUFFIX)
+    known = (*MESH_SUFFIXES, *OUTLINE_SUFFIXES, SPLINE_SUFFIX)
     section = config.input
     cohort: Any = None
     landmarks: Any = None
@@ -504,16 +535,17 @@ def _sources(config: RunConfig, document: Document, base: Path, problems: list[s
     try:
         if section.scans is not None:
             patterns = [section.scans] if isinstance(section.scans, str) else section.scans
-            files = by_id(scan_files([base / p for p in patterns], (*MESH_SUFFIXES, SPLINE_SUFFIX)))
+            tables = {(base / p).resolve() for p in (section.cohort, section.landmarks) if p}
+            files = by_id(
+                [p for p in scan_files([base / p for p in patterns], in_folders) if p.resolve() not in tables]
+            )
         else:
             files = _cohort_files(cohort, base / section.cohort) if cohort and section.cohort else {}
         if not files:
             raise ConfigError("no scans given", "set input.scans, or give the cohort table a column 'path'")
-        strange = sorted(p.name for p in files.values() if p.suffix.lower() not in (*MESH_SUFFIXES, SPLINE_SUFFIX))
+        strange = sorted(p.name for p in files.values() if p.suffix.lower() not in known)
         if strange:
-            raise ConfigError(
-                f"{strange[0]} is not a surface file", f"supported are {' '.join((*MESH_SUFFIXES, SPLINE_SUFFIX))}"
-            )
+            raise ConfigError(f"{strange[0]} is not a surface file", f"supported are {' '.join(known)}")
         preset = PRESETS.get(config.anatomy or "")
         return find_sources(
             files,

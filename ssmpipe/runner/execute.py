@@ -28,6 +28,7 @@ from ssmpipe.contract import Context, Port, Stage
 from ssmpipe.core.errors import SsmpipeError
 from ssmpipe.io.codecs import load_artifact, save_artifact, to_plain
 from ssmpipe.io.meshes import read_mesh
+from ssmpipe.io.outlines import read_outline
 from ssmpipe.runner.fingerprint import VOLATILE, file_digest
 from ssmpipe.runner.manifest import FILE, Manifest, Output
 from ssmpipe.runner.plan import SCAN, PlannedStep, Producer
@@ -138,7 +139,7 @@ def run_task(
             ctx = Context(shape_id=shape or "", rng=make_rng(workspace.seed, shape, step.id), log=log)
             if progress is not None:
                 ctx.progress = progress
-            stage = workspace.registry.load(step.stage)
+            stage = workspace.registry.load(step.stage).suiting([s for s, p in step.inputs.items() if p is not None])
             cfg = stage.config.model_validate_json(json.dumps(_stage_options(step)))
             artifacts = _inputs(
                 workspace, step, shape, ids, prepare=prepare, ctx=ctx, scans={} if scans is None else scans
@@ -209,7 +210,8 @@ def _inputs(
         if producer is None:
             return None
         if producer.prepared and slot in step.files:
-            return read_mesh(Path(step.files[slot][1]))
+            path = Path(step.files[slot][1])
+            return read_outline(path) if step.kinds[slot] == "outline" else read_mesh(path)
         if producer.step == SCAN:
             key = str(member)
             if key not in scans:

@@ -9,10 +9,11 @@ from collections import Counter
 from pathlib import Path
 
 from ssmpipe.core.errors import ConfigError
+from ssmpipe.runner.config import variant_stages
 from ssmpipe.runner.execute import write_atomically
 from ssmpipe.runner.presets import Preset, find_preset
 from ssmpipe.runner.registry import Registry
-from ssmpipe.runner.sources import by_id, scan_files
+from ssmpipe.runner.sources import KINDS, OUTLINE_SUFFIXES, by_id, scan_files
 
 
 def write_config(
@@ -28,11 +29,13 @@ def write_config(
     from ssmpipe.io.meshes import MESH_SUFFIXES
 
     preset = find_preset(anatomy)
+    suffixes_read = OUTLINE_SUFFIXES if preset.topology == "curve" else MESH_SUFFIXES
     if target.exists() and not overwrite:
         raise ConfigError(f"{target} exists already", "choose another name, or --overwrite")
     if not scans_dir.is_dir():
         raise ConfigError(f"there is no folder {scans_dir}")
-    files = by_id(scan_files([scans_dir], MESH_SUFFIXES))
+    tables = ("cohort.csv", "landmarks.csv")
+    files = by_id([path for path in scan_files([scans_dir], suffixes_read) if path.name not in tables])
     suffixes = Counter(path.suffix for path in files.values())
     scans = scans_dir / f"*{suffixes.most_common(1)[0][0]}" if len(suffixes) == 1 else scans_dir
     cohort = _beside(scans_dir, ("cohort.csv",))
@@ -70,6 +73,9 @@ def _text(preset: Preset, name: str, scans: str, cohort: str | None, landmarks: 
         line = f"{key}: {_quoted(value)}" if value else f"# {key}: {example}"
         return f"  {line:<44} # {comment}\n"
 
+    planar = preset.topology == "curve"
+    units, role = ("none", "start") if planar else ("mm", "trim")
+    point = "[x, y]" if planar else "[x, y, z]"
     size = (
         f"; the bounding-box diagonal must be {preset.diagonal_mm[0]:g}-{preset.diagonal_mm[1]:g} mm"
         if preset.diagonal_mm
@@ -81,9 +87,9 @@ def _text(preset: Preset, name: str, scans: str, cohort: str | None, landmarks: 
         "input:\n"
         f"  {'scans: ' + _quoted(scans):<44} # folder, glob or list; id = file name without suffix\n"
         + optional("cohort", cohort, "cohort.csv", "table: id, side (L/R), group, subject, age, ...")
-        + optional("landmarks", landmarks, "landmarks.json", "{id: {name: [x, y, z]}}, scan coordinates")
-        + f"  {'units: mm':<44} # mm, cm, m, um or none{size}\n"
-        + f"  {'# roles: {trim: name of a landmark}':<44} # which landmark serves which step\n"
+        + optional("landmarks", landmarks, "landmarks.json", f"{{id: {{name: {point}}}}}, scan coordinates")
+        + f"  {f'units: {units}':<44} # mm, cm, m, um or none{size}\n"
+        + f"  {'# roles: {' + role + ': name of a landmark}':<44} # which landmark serves which step\n"
         f"output: {_quoted('out/' + name)}\n"
         f"anatomy: {preset.name}\n"
         f"{'seed: 0':<46} # of everything random\n"
@@ -98,11 +104,13 @@ def _stages(preset: Preset, registry: Registry) -> str:
         "stages:",
     ]
     known = registry.names()
+    names = [name for name, _ in preset.stages if name in known]
+    chain = variant_stages(names, KINDS["outline" if preset.topology == "curve" else "mesh"], registry)
     for name, options in preset.stages:
         lines.append(f"#  - {name}:" + (f"  # {registry.summary(name)}" if name in known else "  # not installed"))
         if name not in known:
             continue
-        for key, field in registry.load(name).config.model_fields.items():
+        for key, field in chain[name].config.model_fields.items():
             default = options.get(key, field.get_default(call_default_factory=True))
             value = json.dumps(
                 list(default) if isinstance(default, tuple) else default, default=str, ensure_ascii=False

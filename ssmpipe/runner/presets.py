@@ -18,7 +18,7 @@ class Preset:
     ----------
     name, summary : str
     topology : str
-        Of the surface that is modelled: ``disk``, ``tube`` ...
+        Of what is modelled: ``disk``, ``tube``, ``curve`` (open or closed) ...
     stages : tuple of (str, dict)
         Stage names in order, with overrides of their defaults.
     diagonal_mm : (float, float), optional
@@ -73,6 +73,18 @@ PRESETS: Mapping[str, Preset] = {
                 ("sample", {}),
                 ("fit", {}),
                 *_GROUP,
+            ),
+        ),
+        Preset(
+            name="curve",
+            summary="planar outlines, open or closed",
+            topology="curve",
+            stages=(
+                ("contour", {}),
+                ("align", {}),
+                ("fit", {}),
+                ("optimize", {"n_coefficients": [12], "landmarks": [151]}),
+                *_GROUP[1:],
             ),
         ),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from ssmpipe.contract import Stage
 from ssmpipe.runner.config import RunConfig
 from ssmpipe.runner.presets import PRESETS
 from ssmpipe.runner.registry import Registry
@@ -22,8 +23,8 @@ def config_schema(registry: Registry) -> dict[str, Any]:
         stage = registry.load(name)
         options = stage.config.model_json_schema(ref_template=f"#/$defs/{name}/$defs/{{model}}")
         options["description"] = registry.summary(name)
-        options["properties"] = {
-            **options.get("properties", {}),
+        options["properties"] = _with_variants(options.get("properties", {}), stage)
+        options["properties"] |= {
             "id": {"type": "string", "description": "Name that tells repeats of a stage apart."},
             "skip": {"type": "boolean", "description": "Leave this stage of the preset out.", "default": False},
             "after": {"type": "string", "description": "Insert into the preset's chain after this step."},
@@ -44,3 +45,12 @@ def config_schema(registry: Registry) -> dict[str, Any]:
         )
     schema["properties"]["stages"]["items"] = {"oneOf": entries}
     return schema
+
+
+def _with_variants(properties: dict[str, Any], stage: Stage) -> dict[str, Any]:
+    """Add the options that a stage has for other kinds of input; one of the same name may have either form."""
+    merged = dict(properties)
+    for variant in stage.variants:
+        for key, option in variant.config.model_json_schema().get("properties", {}).items():
+            merged[key] = option if merged.get(key, option) == option else {"anyOf": [merged[key], option]}
+    return merged

@@ -27,6 +27,7 @@ from ssmpipe.io.arrays import read_npz, write_npz
 from ssmpipe.io.codecs import load_artifact, read_json, save_artifact, write_json
 from ssmpipe.io.landmarks import read_landmarks
 from ssmpipe.io.meshes import MESH_SUFFIXES, read_mesh, write_mesh
+from ssmpipe.io.outlines import OUTLINE_SUFFIXES, read_outline, write_outline
 from ssmpipe.runner.config import explain
 from ssmpipe.runner.document import parse_value
 from ssmpipe.runner.execute import disk_errors, failure_of, make_rng
@@ -46,7 +47,10 @@ def stage_command(stage: Stage, guard: Callable[[], AbstractContextManager[None]
         click.Argument(["target"], type=click.Path(path_type=Path), metavar="OUT_DIR" if group else "OUT"),
     ]
     common = {port.slot for port in stage.prepared}
-    params += [_option(name, field, is_file=name in common) for name, field in stage.config.model_fields.items()]
+    fields = {**stage.config.model_fields}
+    for variant in stage.variants:
+        fields = {**variant.config.model_fields, **fields}
+    params += [_option(name, field, is_file=name in common) for name, field in fields.items()]
     params.append(
         click.Option(
             ["--seed"], type=click.IntRange(0), default=0, show_default=True, help="Seed of everything random."
@@ -73,7 +77,7 @@ def stage_command(stage: Stage, guard: Callable[[], AbstractContextManager[None]
             if group:
                 _run_group(stage, source, target, seed, given)
             else:
-                _run_shape(stage, source, target, seed, given)
+                _run_shape(_variant(stage, source), source, target, seed, given)
 
     module = sys.modules.get(stage.run.__module__)
     doc = (getattr(module, "__doc__", None) or stage.name).strip()
@@ -118,6 +122,8 @@ def _config(stage: Stage, given: Mapping[str, Any]) -> Any:
     for key, value in given.items():
         if key.startswith("option_") and value is not None:
             name = key.removeprefix("option_")
+            if name not in stage.config.model_fields:
+                raise ConfigError(f"--{name.replace('_', '-')} does not apply to this kind of file")
             field = stage.config.model_fields[name]
             options[name] = value if isinstance(value, bool) or field.annotation is str else parse_value(value)
     try:
@@ -160,10 +166,18 @@ def _shape_id(path: Path) -> str:
     return stem if ID.fullmatch(stem) else "shape"
 
 
+def _variant(stage: Stage, source: Path) -> Stage:
+    """Return the variant of a stage that reads this kind of file; the stage itself when none does."""
+    fitting = (s for s in (stage, *stage.variants) if any(_fits(port.kind, source) for port in s.inputs))
+    return next(fitting, stage)
+
+
 def _fits(kind: str, path: Path) -> bool:
     suffix = path.suffix.lower()
     if kind == "trimesh":
         return suffix in MESH_SUFFIXES
+    if kind == "outline":
+        return suffix in OUTLINE_SUFFIXES
     return suffix == ".npz" and kind in ("samples", "surface", "uv")
 
 
@@ -176,8 +190,9 @@ def _main_kind(ports: tuple[Port, ...], path: Path) -> Port:
 def _main_port(ports: tuple[Port, ...], path: Path) -> Port:
     fitting = [port for port in ports if _fits(port.kind, path)]
     if not fitting:
-        kinds = [port.kind for port in ports if port.kind in ("trimesh", "samples", "surface")][:1]
-        wanted = " ".join(MESH_SUFFIXES) if kinds == ["trimesh"] else ".npz"
+        kinds = [port.kind for port in ports if port.kind in ("trimesh", "outline", "samples", "surface")][:1]
+        suffixes = {"trimesh": MESH_SUFFIXES, "outline": OUTLINE_SUFFIXES}
+        wanted = " ".join(suffixes.get(kinds[0], (".npz",)) if kinds else (".npz",))
         raise ConfigError(f"{path.name}: this stage needs a file of type {wanted} here")
     return fitting[0]
 
@@ -208,11 +223,17 @@ def _read_shape(path: Path, main: Port) -> tuple[dict[str, Any], dict[str, str]]
                 write_json(folder / f"{slot}.json", entry["content"])
                 kinds[slot] = str(entry["kind"])
                 slots[slot] = load_artifact(kinds[slot], slot, folder, [f"{slot}.json"])
-    slots[main.slot] = (
-        read_mesh(path) if main.kind == "trimesh" else load_artifact(main.kind, main.slot, path.parent, [path.name])
-    )
+    slots[main.slot] = _read_main(path, main)
     kinds[main.slot] = main.kind
     return slots, kinds
+
+
+def _read_main(path: Path, main: Port) -> Any:
+    if main.kind == "trimesh":
+        return read_mesh(path)
+    return (
+        read_outline(path) if main.kind == "outline" else load_artifact(main.kind, main.slot, path.parent, [path.name])
+    )
 
 
 def _mapping(path: Path) -> dict[str, Any]:
@@ -254,7 +275,7 @@ def _prepare(stage: Stage, slots: dict[str, Any], given: Mapping[str, Any]) -> N
         value = given.get(f"option_{port.slot}") or given.get(port.slot)
         if not value:
             raise ConfigError(f"--{port.slot} FILE is needed: one file knows nothing of the others")
-        slots[port.slot] = read_mesh(Path(value))
+        slots[port.slot] = _read_main(Path(value), port)
 
 
 def _arguments(stage: Stage, slots: Mapping[str, Any], source: Path) -> dict[str, Any]:
@@ -289,6 +310,8 @@ def _write_shape(target: Path, main: Port, slots: Mapping[str, Any], kinds: Mapp
                     arrays |= {f"{slot}/{kind}/{key}": value for key, value in read_npz(folder / name).items()}
             if main.kind == "trimesh":
                 write_mesh(folder / target.name, slots[main.slot])
+            elif main.kind == "outline":
+                write_outline(folder / target.name, slots[main.slot])
             else:
                 (name,) = save_artifact(main.kind, main.slot, slots[main.slot], folder)
                 if name != target.name:

@@ -1,7 +1,8 @@
 """The scans: found, named, checked, and offered to the chain as its first slots.
 
 The original files are only ever read. A surface becomes the slots ``mesh`` (in mm), ``transform`` (unit factor),
-``landmarks`` and ``info``; a spline file (``.npz``) becomes ``surface`` instead of ``mesh``.
+``landmarks`` and ``info``; a planar outline (``.csv``, ``.pts``) becomes ``contour`` instead of ``mesh``, a spline file
+(``.npz``, curve or surface) becomes ``surface``.
 """
 
 from __future__ import annotations
@@ -19,18 +20,13 @@ from ssmpipe.runner.fingerprint import digest, file_digest
 ID = re.compile(r"(?!\.)[A-Za-z0-9._-]{1,64}")
 TO_MM: Mapping[str, float] = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001, "none": 1.0}
 SPLINE_SUFFIX = ".npz"
+OUTLINE_SUFFIXES = (".csv", ".pts")
 WARN_MM = 5.0
-KINDS_OF_MESH: Mapping[str, str] = {
-    "mesh": "trimesh",
-    "transform": "transform",
-    "landmarks": "landmarks",
-    "info": "info",
-}
-KINDS_OF_SPLINE: Mapping[str, str] = {
-    "surface": "surface",
-    "transform": "transform",
-    "landmarks": "landmarks",
-    "info": "info",
+_COMMON = {"transform": "transform", "landmarks": "landmarks", "info": "info"}
+KINDS: Mapping[str, Mapping[str, str]] = {
+    "mesh": {"mesh": "trimesh", **_COMMON},
+    "outline": {"contour": "outline", **_COMMON},
+    "spline": {"surface": "surface", **_COMMON},
 }
 _SIDES = {"l": "L", "left": "L", "r": "R", "right": "R", "": None}
 
@@ -68,14 +64,15 @@ class Source:
     tolerance_mm: float = 20.0
 
     @property
-    def is_spline(self) -> bool:
-        """Whether the file is a B-spline rather than a mesh."""
-        return self.path.suffix.lower() == SPLINE_SUFFIX
+    def kind(self) -> str:
+        """What the file is, by its suffix: ``mesh``, ``outline`` or ``spline``."""
+        suffix = self.path.suffix.lower()
+        return "spline" if suffix == SPLINE_SUFFIX else "outline" if suffix in OUTLINE_SUFFIXES else "mesh"
 
     @property
     def kinds(self) -> Mapping[str, str]:
         """Slots that this source offers, with their kinds."""
-        return KINDS_OF_SPLINE if self.is_spline else KINDS_OF_MESH
+        return KINDS[self.kind]
 
     def digest(self, slot: str) -> str:
         """Return the content digest of a slot; an unreadable file raises ArtifactError."""
@@ -100,7 +97,7 @@ class Source:
         Raises
         ------
         SsmpipeError
-            If the file is not a surface, its size does not fit the anatomy, or a landmark is far from the surface.
+            If the file is not what its suffix says, its size does not fit the anatomy, or a landmark is far from it.
         """
         import numpy as np
 
@@ -116,8 +113,16 @@ class Source:
             "landmarks": marks,
             "info": ShapeInfo(self.id, self.side, dict(self.columns)),
         }
-        if self.is_spline:
-            return {"surface": self._surface(factor), **common, "warnings": []}
+        if self.kind == "spline":
+            return {"surface": self._spline(factor), **common, "warnings": []}
+        if self.kind == "outline":
+            from ssmpipe.core.outline.outline import Outline
+            from ssmpipe.io.outlines import read_outline
+
+            outline = read_outline(self.path)
+            outline = Outline(outline.points * factor, outline.closed)
+            warnings = check_landmarks(outline, marks.points, self.tolerance_mm, self.units)
+            return {"contour": outline, **common, "warnings": warnings}
         from ssmpipe.core.mesh.trimesh import TriMesh
         from ssmpipe.io.meshes import read_mesh
 
@@ -128,14 +133,13 @@ class Source:
         warnings = check_landmarks(mesh, marks.points, self.tolerance_mm, self.units)
         return {"mesh": mesh, **common, "warnings": warnings}
 
-    def _surface(self, factor: float) -> Any:
-        from ssmpipe.core.spline.surface import BSplineSurface
-        from ssmpipe.io.splines import read_surface
+    def _spline(self, factor: float) -> Any:
+        from dataclasses import replace
 
-        surface = read_surface(self.path)
-        if factor == 1.0:
-            return surface
-        return BSplineSurface(surface.degree, surface.knots_u, surface.knots_v, surface.control_points * factor)
+        from ssmpipe.io.splines import read_spline
+
+        spline = read_spline(self.path)
+        return spline if factor == 1.0 else replace(spline, control_points=spline.control_points * factor)
 
 
 @lru_cache(maxsize=100_000)
@@ -159,21 +163,40 @@ def check_size(mesh: Any, limits: tuple[float, float] | None, anatomy: str, unit
     )
 
 
-def landmark_distances(mesh: Any, points: Mapping[str, Any]) -> dict[str, float]:
-    """Return the distance of every landmark to the surface [mm]."""
+def landmark_distances(shape: Any, points: Mapping[str, Any]) -> dict[str, float]:
+    """Return the distance of every landmark to the surface or outline [mm].
+
+    Raises
+    ------
+    LandmarkError
+        If a landmark has another number of coordinates than the shape.
+    """
     import numpy as np
 
     from ssmpipe.core.mesh.distance import point_to_mesh
+    from ssmpipe.core.outline.distance import point_to_segments
+    from ssmpipe.core.outline.outline import Outline
 
     if not points:
         return {}
     names = sorted(points)
-    distances = point_to_mesh(np.array([points[name] for name in names]), mesh)[0]
+    planar = isinstance(shape, Outline)
+    odd = [name for name in names if len(points[name]) != (2 if planar else 3)]
+    if odd:
+        raise LandmarkError(
+            f"landmark '{odd[0]}' has {len(points[odd[0]])} coordinates, the shape has {2 if planar else 3}",
+            "write x,y for outlines and x,y,z for surfaces",
+        )
+    places = np.array([points[name] for name in names])
+    if planar:
+        distances = point_to_segments(places, shape.points, shape.edges)[0]
+    else:
+        distances = point_to_mesh(places, shape)[0]
     return {name: float(d) for name, d in zip(names, distances, strict=True)}
 
 
-def check_landmarks(mesh: Any, points: Mapping[str, Any], tolerance_mm: float, units: str) -> list[str]:
-    """Return warnings for landmarks more than 5 mm off the surface.
+def check_landmarks(shape: Any, points: Mapping[str, Any], tolerance_mm: float, units: str) -> list[str]:
+    """Return warnings for landmarks more than 5 mm off the surface or outline.
 
     Raises
     ------
@@ -184,9 +207,10 @@ def check_landmarks(mesh: Any, points: Mapping[str, Any], tolerance_mm: float, u
 
     limit, warn, unit = tolerance_mm, min(WARN_MM, tolerance_mm), "mm"
     if units == "none":
-        limit, unit = 0.05 * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0))), "file units"
+        corners = shape.vertices if hasattr(shape, "vertices") else shape.points
+        limit, unit = 0.05 * float(np.linalg.norm(np.ptp(corners, axis=0))), "file units"
         warn = limit / 4
-    distances = landmark_distances(mesh, points)
+    distances = landmark_distances(shape, points)
     far = sorted((d, name) for name, d in distances.items() if d > limit)
     if far:
         listed = ", ".join(f"'{name}' is {d:.1f} {unit}" for d, name in reversed(far[-3:]))

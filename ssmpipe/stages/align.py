@@ -14,6 +14,7 @@ from ssmpipe.core.arrays import Floats
 from ssmpipe.core.errors import ConfigError
 from ssmpipe.core.mesh.distance import surface_deviation
 from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.stages._align_outline import OUTLINE
 
 
 class Config(StageConfig):
@@ -108,4 +109,5 @@ STAGE = Stage(
     cites=("besl1992", "chen1992", "osada2002"),
     prepare=prepare,
     prepared=(Port("reference", "trimesh"),),
+    variants=(OUTLINE,),
 )

@@ -13,6 +13,7 @@ from ssmpipe.core.mesh.distance import point_to_mesh
 from ssmpipe.core.mesh.grid import grid_faces
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.spline.fit import fit_surface, surface_grid
+from ssmpipe.stages._fit_outline import OUTLINE
 
 
 class Config(StageConfig):
@@ -70,4 +71,5 @@ STAGE = Stage(
     methods="A B-spline surface of degree {degree} with {n_control} control points was fitted to each grid by "
     "end-interpolating least squares.",
     cites=("piegl1997",),
+    variants=(OUTLINE,),
 )

@@ -17,6 +17,7 @@ from ssmpipe.core.correspondence.correspondence import Correspondence
 from ssmpipe.core.errors import ArtifactError
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.model.shape_model import ShapeModel
+from ssmpipe.core.outline.outline import Outline
 from ssmpipe.core.spline.surface import BSplineSurface
 from ssmpipe.io.codecs import KINDS, load_artifact, save_artifact
 
@@ -52,6 +53,7 @@ def model() -> ShapeModel:
 KNOTS = np.array([0, 0, 0, 1 / 3, 1, 1, 1])
 ARTIFACTS: dict[str, Any] = {
     "trimesh": TriMesh(RNG.normal(size=(12, 3)) / 3, FACES),
+    "outline": Outline(RNG.normal(size=(5, 2)) / 3, True),
     "landmarks": Landmarks({"MFH": RNG.normal(size=3), "é": np.array([0.1, 1e-17])}, {"apex": "MFH"}),
     "transform": RNG.normal(size=(4, 4)) * 1e5,
     "info": ShapeInfo("femur_01", "L", {"group": "a", "age": "007"}),
@@ -65,6 +67,7 @@ ARTIFACTS: dict[str, Any] = {
     "meshes": {
         "mean": TriMesh(np.eye(3), np.array([[0, 1, 2]])),
         "mode_1": TriMesh(np.eye(3), np.array([[0, 2, 1]])),
+        "mode_2": Outline(RNG.normal(size=(5, 2)), False),
     },
 }
 

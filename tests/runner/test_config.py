@@ -130,6 +130,7 @@ def preset(
 
 
 def test_presets_run_with_the_stages_that_exist(tmp_path: Path, scans: Path, registry: Registry) -> None:
+    (scans / "outline.csv").write_text("x,y\n0,0\n1,0\n0,1\n")
     for name, one in PRESETS.items():
         assert [i for i, _ in preset(tmp_path, registry, "[]", name)] == [stage for stage, _ in one.stages]
 
