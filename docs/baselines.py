@@ -47,12 +47,13 @@ def closest_point_transfer(
     errors: dict[str, list[float]] = {}
     for i, source in enumerate(meshes):
         for j, target in enumerate(meshes):
-            if i == j:
+            names = sorted(on_surface[i] & on_surface[j])
+            if i == j or not names:
                 continue
             matrix = register(source, target, affine=affine)
-            for name in sorted(on_surface[i] & on_surface[j]):
-                carried = matrix[:3, :3] @ landmarks[i][name] + matrix[:3, 3]
-                _, face, weights = point_to_mesh(carried[None], target)
-                place = weights[0] @ target.vertices[target.faces[face[0]]]
-                errors.setdefault(name, []).append(float(np.linalg.norm(place - landmarks[j][name])))
+            carried = np.array([landmarks[i][n] for n in names]) @ matrix[:3, :3].T + matrix[:3, 3]
+            _, face, weights = point_to_mesh(carried, target)
+            place = np.einsum("nk,nkd->nd", weights, target.vertices[target.faces[face]])
+            for name, p in zip(names, place, strict=True):
+                errors.setdefault(name, []).append(float(np.linalg.norm(p - landmarks[j][name])))
     return {name: np.array(values) for name, values in sorted(errors.items())}

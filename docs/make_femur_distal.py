@@ -88,13 +88,18 @@ def stage_folder(shape: Path, stage: str) -> Path:
     return next(f for f in shape.iterdir() if f.name.endswith(f"-{stage}"))
 
 
+def read_transform(shape: Path) -> np.ndarray:
+    """Scan to the frame of the align stage."""
+    return np.array(json.loads((stage_folder(shape, "align") / "transform.json").read_text()))
+
+
 def fit_rows(out: Path, ids: list[str]) -> list[list[float]]:
     """Distance between the trimmed mesh (before smoothing and decimation) and the spline, both ways [mm]."""
     rows = []
     for i in ids:
         shape = out / "shapes" / i
         to_trim = np.array(json.loads((stage_folder(shape, "orient") / "transform.json").read_text()))
-        to_aligned = np.array(json.loads((stage_folder(shape, "align") / "transform.json").read_text()))
+        to_aligned = read_transform(shape)
         trimmed = read_mesh(stage_folder(shape, "trim") / "mesh.ply")
         trimmed = move(trimmed, to_aligned @ np.linalg.inv(to_trim))
         surface = read_surface(stage_folder(shape, "fit") / "surface.npz")
@@ -150,7 +155,7 @@ def landmark_text(out: Path, data: Path, ids: list[str]) -> str:
     every = read_landmarks(data / "landmarks.json")
     for i in ids:
         shape = out / "shapes" / i
-        matrix = np.array(json.loads((stage_folder(shape, "align") / "transform.json").read_text()))
+        matrix = read_transform(shape)
         meshes.append(read_mesh(stage_folder(shape, "align") / "mesh.ply"))
         own = {n: matrix[:3, :3] @ p + matrix[:3, 3] for n, p in every[i].items() if n in groups}
         marks.append(own)
@@ -192,6 +197,22 @@ def truth_text(out: Path, data: Path) -> str:
         true = principal_components(truth[:, near])[1][0]
         cosine = abs((ours * true).sum()) / np.linalg.norm(ours) / np.linalg.norm(true)
         rows.append([label, f"{e.mean():.2f}", f"{np.median(e):.2f}", f"{np.percentile(e, 95):.2f}", f"{cosine:.4f}"])
+    meshes = [read_mesh(stage_folder(out / "shapes" / str(i), "align") / "mesh.ply") for i in z["ids"]]
+    final = [
+        read_transform(out / "shapes" / str(i)) @ np.linalg.inv(m) for i, m in zip(z["ids"], matrices, strict=True)
+    ]
+    near = np.all(
+        [point_to_mesh(t, TriMesh(p, z["faces"]))[0] <= 2.0 for p, t in zip(z["points"], truth, strict=True)], axis=0
+    )
+    chosen = np.flatnonzero(near)[::5]
+    marks = [{str(k): m[:3, :3] @ t[k] + m[:3, 3] for k in chosen} for t, m in zip(truth, final, strict=True)]
+    for kind in ("rigid", "affine"):
+        e = np.concatenate(
+            list(closest_point_transfer(meshes, marks, affine=kind == "affine", max_distance=2.0).values())
+        )
+        rows.append(
+            [f"closest point, {kind} ICP", f"{e.mean():.2f}", f"{np.median(e):.2f}", f"{np.percentile(e, 95):.2f}", "-"]
+        )
     return table(["", "mean error [mm]", "median", "95th percentile", "first mode against the true one (cosine)"], rows)
 
 

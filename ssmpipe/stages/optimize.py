@@ -66,9 +66,13 @@ class Config(StageConfig):
     pose_rounds: Annotated[int, Field(ge=0, description="Refinements of the poses when pose is refined.")] = (
         _DEFAULT.pose_rounds
     )
-    remove_size: Annotated[bool, Field(description="Remove sizes inside the objective only; results keep them.")] = (
-        _DEFAULT.remove_size
-    )
+    normalize: Annotated[
+        Literal["none", "size", "affine"],
+        Field(
+            description="Removed inside the objective only; results keep it. size: sizes; affine: sizes and, after the first "
+            "round, the linear map of every shape to the mean."
+        ),
+    ] = _DEFAULT.normalize
     prior: Annotated[
         float, Field(ge=0, description="Weight of the bending energy of every reparameterization [nat].")
     ] = _DEFAULT.prior
@@ -291,7 +295,7 @@ def _certificate(optimum: Optimum, ids: tuple[str, ...]) -> dict[str, Any]:
 STAGE = Stage(
     name="optimize",
     scope="cohort",
-    version=2,
+    version=3,
     config=Config,
     run=run,
     inputs=(Port("surface", "surface"), Port("transform", "transform"), Port("landmarks", "landmarks", optional=True)),

@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from ssmpipe.core.align.affine import affine_to_mean
 from ssmpipe.core.align.procrustes import Alignment, generalized_procrustes
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.correspondence.barrier import Aggregate, Barrier
@@ -30,6 +31,7 @@ from ssmpipe.core.spline.evaluate import Spline, SplineStack
 from ssmpipe.core.spline.project import nearest_parameters
 from ssmpipe.core.spline.surface import BSplineSurface
 
+Normalization = Literal["none", "size", "affine"]
 Sensitivity = Literal["adjoint", "direct", "finite-difference"]
 _SLOW = {"direct": direct_gradient, "finite-difference": finite_difference_gradient}
 
@@ -59,8 +61,9 @@ class EngineOptions:
         ``refined``: as given first, then refined from the optimized correspondence, ``pose_rounds`` times.
     pose_rounds : int
         At most so many; they end when the landmarks move by less than a thousandth of the size (root mean square).
-    remove_size : bool
-        Whether sizes are removed inside the objective.
+    normalize : {"none", "size", "affine"}
+        What is removed inside the objective only: nothing; sizes; sizes, and after the first round also the linear maps to the
+        mean shape. Results keep sizes and shapes in every case.
     prior : float
         Weight of the bending energy of every ``D_i`` [nat].
     barriers : tuple of float
@@ -100,7 +103,7 @@ class EngineOptions:
     lambda_cut: float | None = None
     pose: Literal["refined", "procrustes", "keep"] = "refined"
     pose_rounds: int = 6
-    remove_size: bool = True
+    normalize: Normalization = "affine"
     prior: float = 0.01
     barriers: tuple[float, ...] = (30.0, 10.0, 3.0)
     floor: float = 0.0
@@ -221,7 +224,7 @@ def optimize_correspondence(
     for n, n_next in pairwise([*levels, opts.n_coefficients]):
         coefficients = cohort.descend(coefficients, cohort.space(n), opts.barriers[:1], recorder)[0]
         coefficients = _refined(coefficients, cohort.space(n), cohort.space(n_next))
-    pose_rounds = opts.pose_rounds if opts.pose == "refined" else 0
+    pose_rounds = opts.pose_rounds if opts.pose == "refined" or opts.normalize == "affine" else 0
     barriers = opts.barriers
     for pose_round in range(1 + pose_rounds):
         coefficients, status = cohort.descend(coefficients, reparameterization, barriers, recorder)
@@ -260,7 +263,8 @@ class _Cohort:
         at_identity = np.repeat(self.output.evaluate(self.output.identity()[None]), len(splines), axis=0)
         self.given = self.raw.evaluate(at_identity).points
         self.alignment = self._align(self.given, keep_pose=opts.pose != "procrustes")
-        start = _apply(self.alignment, self.given, scaled=True)
+        self.normal = _sizes(self.alignment)
+        start = self._normalized(self.given)
         mean = start.mean(axis=0)
         self.size = float(np.sqrt(((mean - mean.mean(axis=0)) ** 2).sum(axis=1).mean()))
         self.lambda_cut = opts.lambda_cut if opts.lambda_cut is not None else automatic_lambda_cut(self.size)
@@ -291,9 +295,8 @@ class _Cohort:
 
     def objective(self, space: Reparameterization) -> GroupObjective:
         """Return the objective in the current pose."""
-        scaled = [_posed(s, self.alignment, i) for i, s in enumerate(self.splines)]
         return GroupObjective(
-            SplineStack(scaled, space.periodic),
+            SplineStack([self._normalized_spline(i) for i in range(len(self.splines))], space.periodic),
             space,
             self.spectral,
             base_weights=landmark_rule(space, self.opts.landmarks, self._quadrature())[1],
@@ -332,20 +335,44 @@ class _Cohort:
     def _align(self, points: Floats, *, keep_pose: bool) -> Alignment:
         """Return poses and size factors for (n_S, n_P, d) points on the grid, landmarks weighed by the size they stand for."""
         weights = grid_size_weights(points.mean(axis=0), self.output.grid, self.output.periodic)
-        alignment = generalized_procrustes(points, weights, remove_size=self.opts.remove_size)
+        alignment = generalized_procrustes(points, weights, remove_size=self.opts.normalize != "none")
         if not keep_pose:
             return alignment
         unturned = np.repeat(np.eye(points.shape[2])[None], len(points), axis=0)
         return replace(alignment, rotation=unturned, translation=np.zeros((len(points), points.shape[2])))
 
+    def _normalized(self, points: Floats) -> Floats:
+        """Return (n_S, n, d) points of the input frame as the objective sees them."""
+        linear, offset = self.normal
+        return _apply(self.alignment, points) @ np.swapaxes(linear, 1, 2) + offset[:, None]
+
+    def _normalized_spline(self, i: int) -> Spline:
+        """Return spline ``i`` as the objective sees it; splines are affinely invariant."""
+        spline = self.splines[i]
+        shape = spline.control_points.shape
+        linear, offset = self.normal[0][i], self.normal[1][i]
+        moved = spline.control_points @ self.alignment.rotation[i].T + self.alignment.translation[i]
+        control = (moved @ linear.T + offset).reshape(shape)
+        if isinstance(spline, BSplineCurve):
+            return BSplineCurve(spline.degree, spline.knots, control)
+        return BSplineSurface(spline.degree, spline.knots_u, spline.knots_v, control)
+
     def refine_pose(self, coefficients: Floats, space: Reparameterization) -> bool:
-        """Refine poses and sizes from the current correspondence; return whether that moved anything noticeably."""
+        """Refine poses and normalization from the current correspondence; return whether that moved anything noticeably."""
         current = self.raw.evaluate(space.at(self.opts.landmarks).evaluate(coefficients)).points
-        refined = self._align(current, keep_pose=False)
-        moved = _apply(refined, current, scaled=True) - _apply(self.alignment, current, scaled=True)
+        before = self._normalized(current)
+        saved = self.alignment, self.normal
+        self.alignment = self._align(current, keep_pose=self.opts.pose != "refined")
+        self.normal = _sizes(self.alignment)
+        if self.opts.normalize == "affine":
+            sized = self._normalized(current)
+            weights = grid_size_weights(sized.mean(axis=0), self.output.grid, self.output.periodic)
+            linear, offset = affine_to_mean(sized, weights)
+            self.normal = linear @ self.normal[0], np.einsum("iab,ib->ia", linear, self.normal[1]) + offset
+        moved = self._normalized(current) - before
         if float(np.sqrt((moved**2).sum(axis=-1).mean())) < 1e-3 * self.size:
+            self.alignment, self.normal = saved
             return False
-        self.alignment = refined
         return True
 
     # -- guides --------------------------------------------------------------------------------------------------------
@@ -425,8 +452,8 @@ class _Cohort:
         return Optimum(
             coefficients=coefficients,
             parameters=parameters,
-            points=_apply(self.alignment, self.raw.evaluate(parameters).points, scaled=False),
-            initial_points=_apply(self.alignment, self.given, scaled=False),
+            points=_apply(self.alignment, self.raw.evaluate(parameters).points),
+            initial_points=_apply(self.alignment, self.given),
             alignment=self.alignment,
             eigenvalues=eigenvalues,
             eigenvalues_initial=eigenvalues_initial,
@@ -491,18 +518,12 @@ def _refined(coefficients: Floats, coarse: Reparameterization, fine: Reparameter
     return fine.identity() + np.moveaxis(apply_directions(matrices, displacement), 1, -1)
 
 
-def _apply(alignment: Alignment, points: Floats, *, scaled: bool) -> Floats:
-    """Move (n_S, n, d) points to their poses, and scale them about the common centre if asked."""
-    moved = points @ np.swapaxes(alignment.rotation, 1, 2) + alignment.translation[:, None]
-    if not scaled:
-        return moved
-    return alignment.centre + alignment.scale[:, None, None] * (moved - alignment.centre)
+def _apply(alignment: Alignment, points: Floats) -> Floats:
+    """Move (n_S, n, d) points to their poses, sizes kept."""
+    return points @ np.swapaxes(alignment.rotation, 1, 2) + alignment.translation[:, None]
 
 
-def _posed(spline: Spline, alignment: Alignment, i: int) -> Spline:
-    """Move and scale the control points of shape ``i``; splines are affinely invariant."""
-    control = spline.control_points @ alignment.rotation[i].T + alignment.translation[i]
-    control = alignment.centre + alignment.scale[i] * (control - alignment.centre)
-    if isinstance(spline, BSplineCurve):
-        return BSplineCurve(spline.degree, spline.knots, control)
-    return BSplineSurface(spline.degree, spline.knots_u, spline.knots_v, control)
+def _sizes(alignment: Alignment) -> tuple[Floats, Floats]:
+    """Return the linear maps (n_S, d, d) and offsets (n_S, d) that remove sizes about the common centre."""
+    linear = alignment.scale[:, None, None] * np.eye(len(alignment.centre))
+    return linear, alignment.centre - np.einsum("iab,b->ia", linear, alignment.centre)

@@ -6,7 +6,7 @@ from ssmpipe.core.errors import GeometryError
 from tests.support.surfaces import bump, bumps
 
 FAST = EngineOptions(
-    n_coefficients=(7, 7), landmarks=(25, 25), prior=0.0, remove_size=False, pose="keep", lambda_cut=1e-3
+    n_coefficients=(7, 7), landmarks=(25, 25), prior=0.0, normalize="none", pose="keep", lambda_cut=1e-3
 )
 
 

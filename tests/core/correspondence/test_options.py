@@ -14,7 +14,7 @@ from ssmpipe.core.spline.knots import clamped_uniform_knots
 from ssmpipe.core.spline.project import nearest_parameters
 from tests.support.surfaces import bump, bumps
 
-BASE = EngineOptions(n_coefficients=(6, 6), landmarks=(21, 21), remove_size=False, pose="keep", lambda_cut=1e-3)
+BASE = EngineOptions(n_coefficients=(6, 6), landmarks=(21, 21), normalize="none", pose="keep", lambda_cut=1e-3)
 
 
 def closed_curve(shift: float, phase: float, n: int = 40) -> BSplineCurve:
@@ -44,7 +44,7 @@ def closed_curve(shift: float, phase: float, n: int = 40) -> BSplineCurve:
         {"aggregate": "ks", "sharpness": 30.0},
         {"reference": "none"},
         {"coarse_to_fine": True, "n_coefficients": (10, 10)},
-        {"pose": "procrustes", "remove_size": True},
+        {"pose": "procrustes", "normalize": "size"},
         {"degree": 3},
         {"sensitivity": "direct"},
     ],
@@ -73,7 +73,7 @@ def test_no_reference_keeps_the_mean_of_the_maps():
 
 def test_closed_curves_find_their_starting_point():
     curves = [closed_curve(shift, phase) for shift, phase in ((0.5, 0.0), (0.6, 0.5), (0.7, -0.4), (0.4, 0.3))]
-    options = EngineOptions(n_coefficients=(16,), landmarks=(80,), boundary="periodic", remove_size=False, pose="keep")
+    options = EngineOptions(n_coefficients=(16,), landmarks=(80,), boundary="periodic", normalize="none", pose="keep")
     optimum = optimize_correspondence(curves, options).value
     before, after = (((p - p.mean(axis=0)) ** 2).sum() for p in (optimum.initial_points, optimum.points))
     assert after < 0.1 * before
@@ -89,7 +89,10 @@ def test_coarse_spaces_nest_exactly():
 
     for boundary, coarse_n, fine_n in (("fixed", (5, 6), (8, 10)), ("periodic", (5, 6), (10, 10))):
         coarse, fine = (Reparameterization(n, (17, 19), boundary=boundary) for n in (coarse_n, fine_n))
-        b = coarse.identity()[None] + 0.02 * np.random.default_rng(0).normal(size=(1, *coarse.identity().shape)) * coarse.free
+        b = (
+            coarse.identity()[None]
+            + 0.02 * np.random.default_rng(0).normal(size=(1, *coarse.identity().shape)) * coarse.free
+        )
         np.testing.assert_allclose(fine.evaluate(_refined(b, coarse, fine)), coarse.evaluate(b), atol=1e-12)
 
 
@@ -113,7 +116,9 @@ def test_guides_pull_and_interpolate():
 def test_contradicting_guides_are_refused():
     shapes, marks = marked_bumps()
     crossed = [
-        {"a": m["top"] + [-4.0, 0, 0], "b": m["top"] + [4.0, 0, 0]} if k else {"a": m["top"] + [4.0, 0, 0], "b": m["top"] + [-4.0, 0, 0]}
+        {"a": m["top"] + [-4.0, 0, 0], "b": m["top"] + [4.0, 0, 0]}
+        if k
+        else {"a": m["top"] + [4.0, 0, 0], "b": m["top"] + [-4.0, 0, 0]}
         for k, m in enumerate(marks)
     ]
     options = replace(BASE, guide_mode="interpolate", n_coefficients=(4, 4))
