@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
 from ssmpipe.contract import Context, Port, Stage, StageConfig
 from ssmpipe.core.outline.distance import point_to_segments
-from ssmpipe.core.outline.outline import Outline, edge_indices
+from ssmpipe.core.outline.outline import Outline, edge_indices, resample
 from ssmpipe.core.spline.fit_curve import Spacing, curve_points, fit_curve
+
+
+_PER_CONTROL = 8
 
 
 class Config(StageConfig):
@@ -18,10 +21,17 @@ class Config(StageConfig):
 
     degree: Annotated[int, Field(ge=1, le=5, description="Degree of the spline.")] = 2
     n_control: Annotated[int, Field(ge=4, description="Control points, the same number for all shapes [count].")] = 50
+    points: Annotated[
+        Literal["polyline", "given"],
+        Field(
+            description="What is fitted. polyline: the outline with its edges, read at equal steps, so that sparse or uneven points do "
+            "no harm; given: its points alone."
+        ),
+    ] = "polyline"
     parameters: Annotated[
         Spacing,
         Field(
-            description="Parameters of the points: arc-length (of the fitted curve), chord, centripetal, or uniform (by number)."
+            description="Parameters of given points: arc-length (of the fitted curve), chord, centripetal, or uniform (by number)."
         ),
     ] = "arc-length"
     fairness: Annotated[
@@ -42,8 +52,11 @@ class Config(StageConfig):
 
 def run(contour: Outline, *, cfg: Config, ctx: Context) -> dict[str, Any]:
     """Fit, and report RMS and maximum distance both ways."""
+    data = contour
+    if cfg.points == "polyline":
+        data = resample(contour, max(len(contour.points), _PER_CONTROL * cfg.n_control))
     curve = fit_curve(
-        contour.points,
+        data.points,
         degree=cfg.degree,
         n_control=cfg.n_control,
         closed=contour.closed,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -13,6 +13,7 @@ from ssmpipe.core.correspondence.correspondence import Correspondence
 from ssmpipe.core.evaluation.landmark_transfer import landmark_transfer
 from ssmpipe.core.evaluation.measures import compactness, generalization, specificity
 from ssmpipe.core.model.pca import principal_components
+from ssmpipe.core.outline.outline import edge_indices
 
 
 class Config(StageConfig):
@@ -20,12 +21,12 @@ class Config(StageConfig):
 
     n_specificity_samples: Annotated[int, Field(ge=10, description="Random instances for specificity.")] = 1000
     max_landmark_distance: Annotated[
-        float,
+        Annotated[float, Field(gt=0)] | Literal["auto"],
         Field(
-            gt=0,
-            description="A landmark farther from the corresponded surface does not lie on it and is left out [mm].",
+            description="A landmark farther from the corresponded surface does not lie on it and is left out [mm]; auto: 8 mm, "
+            "for planar curves a twentieth of the mean size.",
         ),
-    ] = 8.0
+    ] = "auto"
 
 
 def run(
@@ -86,14 +87,19 @@ def _transfer(
         name: []
         for name in ("landmark", "correspondence", "n_shapes", "n_pairs", "mean_mm", "median_mm", "p95_mm", "max_mm")
     }
+    cells, limit = correspondence.faces, 8.0
+    if not len(cells):
+        closed = correspondence.topology == "curve-closed"
+        cells = edge_indices(correspondence.points.shape[1], closed)
+        limit = 0.05 * float(np.linalg.norm(np.ptp(correspondence.points, axis=1), axis=1).mean())
+    if cfg.max_landmark_distance != "auto":
+        limit = cfg.max_landmark_distance
     marks = {}
     for i, matrix in zip(correspondence.ids, correspondence.transform, strict=True):
         if i in landmarks:
             marks[i] = dict(landmarks[i].transformed(matrix @ np.linalg.inv(transform[i])).points)
     for label, points in (("initial", correspondence.initial_points), ("optimized", correspondence.points)):
-        transfers = landmark_transfer(
-            points, correspondence.faces, correspondence.ids, marks, max_distance=cfg.max_landmark_distance
-        )
+        transfers = landmark_transfer(points, cells, correspondence.ids, marks, max_distance=limit)
         rows = [(t.name, len(t.ids), t.off_diagonal()) for t in transfers]
         if rows:
             rows.append(("all", max(n for _, n, _ in rows), np.concatenate([e for _, _, e in rows])))

@@ -8,10 +8,12 @@ import numpy as np
 from pydantic import Field
 
 from ssmpipe.contract import Context, Port, ShapeInfo, Stage, StageConfig, Table
+from ssmpipe.core.arrays import Floats
 from ssmpipe.core.correspondence.correspondence import Correspondence
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.model.pca import principal_components
 from ssmpipe.core.model.shape_model import ShapeModel
+from ssmpipe.core.outline.outline import Outline
 
 
 class Config(StageConfig):
@@ -39,13 +41,13 @@ def run(*, correspondence: Correspondence, info: dict[str, ShapeInfo], cfg: Conf
     ctx.metric("n_modes", len(variances))
     ctx.metric("total_variance_mm2", float(variances.sum() / len(mean)))
     ctx.metric("first_mode_share", float(variances[0] / variances.sum()))
-    meshes = {"mean": TriMesh(mean, model.faces)}
+    meshes = {"mean": _drawn(model, mean)}
     label = f"{cfg.sigma:g}"
     for m in range(min(cfg.n_mode_meshes, len(variances))):
         for sign, word in ((-1.0, "minus"), (1.0, "plus")):
             sigmas = np.zeros(m + 1)
             sigmas[m] = sign * cfg.sigma
-            meshes[f"mode_{m + 1:02d}_{word}{label}"] = TriMesh(model.instance(sigmas), model.faces)
+            meshes[f"mode_{m + 1:02d}_{word}{label}"] = _drawn(model, model.instance(sigmas))
     columns: dict[str, list[Any]] = {"id": list(model.ids)}
     for m in range(len(variances)):
         columns[f"mode_{m + 1:02d}"] = scores[:, m].tolist()
@@ -57,6 +59,13 @@ def run(*, correspondence: Correspondence, info: dict[str, ShapeInfo], cfg: Conf
             columns[name] = [info[i].columns.get(name, "") if i in info else "" for i in model.ids]
     scores_table = Table(columns, "scores in units of one standard deviation of their mode")
     return {"model": model, "model_meshes": meshes, "scores": scores_table}
+
+
+def _drawn(model: ShapeModel, points: Floats) -> TriMesh | Outline:
+    """Return an instance of the model as a file can hold it; a curve in space becomes a mesh without faces."""
+    if points.shape[1] == 2:
+        return Outline(points, model.topology == "curve-closed")
+    return TriMesh(points, model.faces)
 
 
 STAGE = Stage(

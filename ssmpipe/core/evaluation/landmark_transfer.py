@@ -10,6 +10,7 @@ import numpy as np
 from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.mesh.distance import point_to_mesh
 from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.core.outline.distance import point_to_segments
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +35,19 @@ class Transfer:
         return self.errors[~np.eye(len(self.ids), dtype=bool)]
 
 
+def locate(marks: Floats, points: Floats, faces: Ints) -> tuple[Floats, Ints, Floats]:
+    """Return distance, index and barycentric coordinates of the nearest place on triangles, or on edges of a curve.
+
+    Examples
+    --------
+    >>> locate(np.array([[1.0, 1.0]]), np.array([[0, 0], [4.0, 0]]), np.array([[0, 1]]))[2]
+    array([[0.75, 0.25]])
+    """
+    if faces.shape[1] == 2:
+        return point_to_segments(marks, points, faces)
+    return point_to_mesh(marks, TriMesh(points, faces))
+
+
 def landmark_transfer(
     points: Floats,
     faces: Ints,
@@ -46,11 +60,12 @@ def landmark_transfer(
 
     Parameters
     ----------
-    points : (n_S, n_P, 3) float64
+    points : (n_S, n_P, d) float64
         Corresponded points [mm], in the frame of the landmarks.
-    faces : (n_F, 3) int64
+    faces : (n_F, 3) int64, or (n_E, 2) int64
+        Triangles of a surface, or edges of a curve.
     ids : sequence of str
-    landmarks : mapping id -> name -> (3,)
+    landmarks : mapping id -> name -> (d,)
     max_distance : float, default=5
         A landmark farther from its surface than this does not lie on the corresponded part and is left out [mm].
 
@@ -71,7 +86,7 @@ def landmark_transfer(
         if not own:
             continue
         marks = np.array([landmarks[shape][name] for name in own])
-        distance, face, barycentric = point_to_mesh(marks, TriMesh(points[i], faces))
+        distance, face, barycentric = locate(marks, points[i], faces)
         for name, d, f, b in zip(own, distance, face, barycentric, strict=True):
             if d <= max_distance:
                 located[name].append((i, faces[f], b))

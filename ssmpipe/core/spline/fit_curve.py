@@ -137,6 +137,7 @@ def fit_curve(
     parameters : {"arc-length", "chord", "centripetal", "uniform"} or (n,) float64
         Of the points, see :func:`data_parameters`. ``arc-length`` repeats the fit with the parameters that the fitted curve
         itself gives, until they settle: the curve then has nearly constant speed whatever the spacing of the points.
+        It stops early where sparse points make the curve oscillate between them.
     fairness : float, default=0
         Weight of ``integral |C''|^2`` beside the mean square distance. 1e-12 changes nothing that can be seen, but bridges
         spans without points.
@@ -170,12 +171,16 @@ def fit_curve(
         return _fit(points, _checked(parameters, len(points), closed), degree, n_control, closed, fairness)
     u = data_parameters(points, parameters, closed=closed)
     curve = _fit(points, u, degree, n_control, closed, fairness)
+    square = ((curve_points(curve, u) - points) ** 2).sum()
     for _ in range(5 if parameters == "arc-length" else 0):
         lengths, total = arc_length_at(curve, u)
         refined = lengths / total
+        candidate = _fit(points, refined, degree, n_control, closed, fairness)
+        residual = ((curve_points(candidate, refined) - points) ** 2).sum()
+        if residual > 4 * square + 1e-20 * total**2:
+            break
         change = float(np.abs(refined - u).max())
-        u = refined
-        curve = _fit(points, u, degree, n_control, closed, fairness)
+        curve, u = candidate, refined
         if change < 1e-12:
             break
     return curve
