@@ -11,6 +11,7 @@ import json
 import multiprocessing
 import os
 import platform
+import signal
 import threading
 import time
 import traceback
@@ -230,6 +231,22 @@ def one_thread_environment() -> Iterator[None]:
                 os.environ[name] = value
 
 
+@contextmanager
+def interrupts_for_parent() -> Iterator[None]:
+    """Let children that are started here inherit a blocked Ctrl-C: a terminal sends it to all, the parent answers for them."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    from multiprocessing.resource_tracker import ensure_running
+
+    ensure_running()  # when it starts later, it unblocks the signal
+    old = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, old)
+
+
 @dataclass
 class Batch:
     """A pool of children, used for all jobs of a run.
@@ -296,14 +313,15 @@ class Batch:
                     initargs=(self.memory_mb, noise, os.getpid()),
                     context=multiprocessing.get_context("spawn"),
                 )
-            waiting = {
-                self._pool.schedule(
-                    run_job,
-                    args=(job, self.events, self.memory_mb),
-                    timeout=self.timeout_s if job.shape is not None else None,
-                ): job
-                for job in jobs
-            }
+            with interrupts_for_parent():
+                waiting = {
+                    self._pool.schedule(
+                        run_job,
+                        args=(job, self.events, self.memory_mb),
+                        timeout=self.timeout_s if job.shape is not None else None,
+                    ): job
+                    for job in jobs
+                }
             while waiting:
                 ready = [future for future in waiting if future.done()]
                 self._listen()
@@ -364,8 +382,6 @@ class Batch:
 
 
 def _exit_text(code: int) -> str:
-    import signal
-
     if code < 0:
         try:
             return signal.Signals(-code).name

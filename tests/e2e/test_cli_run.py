@@ -148,20 +148,36 @@ def test_internal_error_gives_1(call: Call, config: Path, monkeypatch: pytest.Mo
     assert isinstance(call("--debug", "run", config).exception, ZeroDivisionError)
 
 
-def test_interrupt_gives_130_and_keeps_what_is_done(write_config: Callable[..., Path]) -> None:
+@pytest.mark.parametrize("moment", [0.05, 0.12, 0.2, "in the middle"])
+def test_interrupt_gives_130_and_keeps_what_is_done(write_config: Callable[..., Path], moment: float | str) -> None:
     config = write_config(stages=[{"grow": {"hang": ["d"]}}, "shift", "total"])
     env = {**os.environ, "SSMPIPE_STAGES": str(TOY)}
-    command = [sys.executable, "-m", "ssmpipe.cli", "run", str(config), "-j", "1"]
-    process = subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 30
-    while not (config.parent / "out/shapes/c/01-grow").exists() and time.monotonic() < deadline:
-        time.sleep(0.1)
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=30)
+    # a shell that runs the tests in the background lets them ignore SIGINT
+    code = (
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from ssmpipe.cli import main; main(sys.argv[1:])"
+    )
+    command = [sys.executable, "-c", code, "run", str(config), "-j", "1"]
+    awaited = config.parent / (
+        "out/.work/libraries.txt" if moment == "while children start" else "out/shapes/c/01-grow"
+    )
+    with subprocess.Popen(
+        command, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
+        try:
+            deadline = time.monotonic() + 30
+            while not awaited.exists() and time.monotonic() < deadline:
+                time.sleep(0.01)
+            time.sleep(moment if isinstance(moment, float) else 0.0)  # children are starting
+            os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to parent and children
+            _, err = process.communicate(timeout=30)
+        finally:
+            process.kill()
     assert process.returncode == 130, err
     assert "interrupted; what is finished is kept" in err
     assert "Traceback" not in err
-    assert sorted(p.name for p in (config.parent / "out/shapes").iterdir()) == ["a", "b", "c"]
+    if moment == "in the middle":
+        assert sorted(p.name for p in (config.parent / "out/shapes").iterdir()) == ["a", "b", "c"]
 
 
 def test_init_writes_a_config_that_loads(call: Call, scans: Path, tmp_path: Path) -> None:
