@@ -158,9 +158,7 @@ def test_interrupt_gives_130_and_keeps_what_is_done(write_config: Callable[..., 
         "from ssmpipe.cli import main; main(sys.argv[1:])"
     )
     command = [sys.executable, "-c", code, "run", str(config), "-j", "1"]
-    awaited = config.parent / (
-        "out/.work/libraries.txt" if moment == "while children start" else "out/shapes/c/01-grow"
-    )
+    awaited = config.parent / ("out/shapes/c/01-grow" if moment == "in the middle" else "out/.work")
     with subprocess.Popen(
         command, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     ) as process:
