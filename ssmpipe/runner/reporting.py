@@ -13,7 +13,7 @@ from ssmpipe.io.codecs import load_artifact
 from ssmpipe.runner.config import Project
 from ssmpipe.runner.execute import TaskRecord, disk_errors, versions, write_atomically
 from ssmpipe.runner.fingerprint import digest, file_digest
-from ssmpipe.runner.manifest import FILE, Manifest, Output, Request, decide
+from ssmpipe.runner.manifest import FILE, Decision, Manifest, Output, Request, decide
 from ssmpipe.runner.plan import PlannedStep
 from ssmpipe.runner.record import report_record
 from ssmpipe.runner.workspace import Workspace
@@ -48,6 +48,27 @@ STAGE = Stage(
 )
 
 
+def _request(workspace: Workspace, step: PlannedStep, shown: dict[str, Any]) -> Request:
+    inputs = {**workspace.input_digests(step, None, ()), "record": digest(shown)}
+    config = {**dict(step.options), "ssmpipe": shown["ssmpipe_version"]}
+    return Request(step.stage, step.version, config, inputs, workspace.seed, None)
+
+
+def report_decision(
+    workspace: Workspace, step: PlannedStep, record: dict[str, Any], *, force: bool = False
+) -> Decision:
+    """Return whether the report would be written now, and why.
+
+    Raises
+    ------
+    SsmpipeError
+        If a result that it needs does not exist.
+    """
+    folder = workspace.folder(step, None)
+    request = _request(workspace, step, report_record(record))
+    return decide(workspace.manifest(folder), request, folder, force=force)
+
+
 def write_report(
     project: Project, workspace: Workspace, step: PlannedStep, record: dict[str, Any], *, force: bool = False
 ) -> tuple[Path, TaskRecord]:
@@ -62,9 +83,7 @@ def write_report(
     """
     clock = time.perf_counter()
     shown = report_record(record)
-    inputs = {**workspace.input_digests(step, None, ()), "record": digest(shown)}
-    config = {**dict(step.options), "ssmpipe": shown["ssmpipe_version"]}
-    request = Request(step.stage, step.version, config, inputs, workspace.seed, None)
+    request = _request(workspace, step, shown)
     folder = workspace.folder(step, None)
     page = Path(os.pardir) / os.pardir / NAME
     decision = decide(workspace.manifest(folder), request, folder, force=force)

@@ -126,7 +126,19 @@ def dry_run(project: Project, options: RunOptions) -> list[Forecast]:
     chosen = make_selection(project, options)
     workspace = make_workspace(project)
     ready = {s.id for s in chosen.steps if s.prepares and chosen.partial and workspace.prepared_is_usable(s)}
-    return forecast(workspace, chosen.steps, chosen.shapes, chosen.forced, ready)
+    found = forecast(workspace, chosen.steps, chosen.shapes, chosen.forced, ready)
+    report = next((step for step in chosen.steps if step.stage == REPORT), None)
+    if report is None or any(item.run for item in found if item.step != report.id):
+        return found
+    from ssmpipe.runner.reporting import report_decision
+
+    # what the report shows besides its inputs is known only here
+    record = run_record(project, workspace, read_failures(project.out), {}, {}, machine())
+    try:
+        decision = report_decision(workspace, report, record, force=report.id in chosen.forced)
+    except SsmpipeError:  # a result is missing and not selected: the forecast says so
+        return found
+    return [Forecast(i.step, i.shape, decision.run, decision.reason) if i.step == report.id else i for i in found]
 
 
 def run_project(project: Project, options: RunOptions, console: Console) -> RunResult:

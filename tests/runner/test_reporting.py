@@ -2,12 +2,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from ssmpipe.core.errors import SsmpipeError
 from ssmpipe.runner.config import Project
-from ssmpipe.runner.run import RunOptions, RunResult
+from ssmpipe.runner.run import RunOptions, RunResult, dry_run
 from ssmpipe.runner.status import rewrite_report
 
 CHAIN = ["grow", "shift", "results", "report"]
@@ -41,3 +42,17 @@ def test_report_command(run: Callable[..., RunResult], project: Callable[..., Pr
     assert page.read_text() == text
     assert run(stages=CHAIN).n_run == 0
     assert run(stages=CHAIN, options=RunOptions(only=("report",), forced=frozenset({"*"}))).n_run == 1
+
+
+def test_dry_run_knows_whether_the_report_is_up_to_date(
+    run: Callable[..., RunResult], project: Callable[..., Project]
+) -> None:
+    def last(*overrides: str, **options: Any) -> tuple[str, bool, str]:
+        item = dry_run(project(*overrides, stages=CHAIN), RunOptions(**options))[-1]
+        return item.step, item.run, item.reason
+
+    assert last() == ("report", True, "first run")
+    run(stages=CHAIN)
+    assert last() == ("report", False, "up to date")
+    assert last(forced=frozenset({"report"})) == ("report", True, "forced")
+    assert last("min_shapes=2") == ("report", True, "input changed: record")
