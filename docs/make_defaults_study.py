@@ -1,0 +1,157 @@
+"""Which defaults give the best correspondence, judged by truth and experts: runs the study, writes ``docs/defaults.md``.
+
+    python docs/make_defaults_study.py --femora FOLDER --aortas FOLDER --outlines FOLDER [--work FOLDER]
+
+FOLDER: a cohort folder with ``scans`` (or ``contours``), ``cohort.csv`` and ``landmarks``; every one may be left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE))
+
+import study_cohorts  # noqa: E402
+
+from ssmpipe.core.correspondence.optimize import EngineOptions, optimize_correspondence  # noqa: E402
+from ssmpipe.core.correspondence.reparameterization import Reparameterization  # noqa: E402
+from ssmpipe.core.spline.evaluate import SplineStack  # noqa: E402
+
+DEFAULT = EngineOptions()
+FACTORS: dict[str, list[tuple[str, dict]]] = {
+    "normalization": [(n, {"normalize": n}) for n in ("none", "size", "affine")],
+    "prior": [(f"{p:g}", {"prior": p}) for p in (0.0, 0.001, 0.01, 0.1, 1.0)],
+    "last barrier": [
+        (f"{b[-1]:g}", {"barriers": b}) for b in ((30.0,), (30.0, 10.0, 3.0), (30.0, 10.0, 3.0, 1.0, 0.1, 0.01))
+    ],
+    "lambda_cut / auto": [(f"{f:g}", {"factor": f}) for f in (0.01, 1.0, 100.0, 10000.0)],
+    "coefficients x": [(f"{s:g}", {"size": s}) for s in (0.75, 1.0, 1.5)],
+    "covariance": [("discrete", {}), ("II", {"covariance": "II"})],
+    "boundary": [("as given", {}), ("sliding", {"boundary": "sliding"})],
+    "pose": [(p, {"pose": p}) for p in ("keep", "procrustes", "refined")],
+    "reference": [("nearest to the mean", {}), ("none", {"reference": "none"})],
+    "objective": [(o, {"objective": o}) for o in ("description-length", "log-determinant", "trace")],
+}
+
+
+def options_for(cohort: study_cohorts.Cohort, change: dict) -> EngineOptions:
+    change = dict(change)
+    closed = len(cohort.n_coefficients) == 1 and cohort.closed
+    base = replace(
+        DEFAULT,
+        n_coefficients=cohort.n_coefficients,
+        landmarks=cohort.landmarks,
+        boundary="periodic" if closed else DEFAULT.boundary,
+    )
+    size = change.pop("size", None)
+    if size:
+        base = replace(base, n_coefficients=tuple(round(size * n) for n in cohort.n_coefficients))
+    factor = change.pop("factor", None)
+    if factor:
+        base = replace(base, lambda_cut=factor * cohort.automatic_lambda_cut())
+    if closed and change.get("boundary") == "sliding":
+        change.pop("boundary")
+    return replace(base, **change)
+
+
+def start_error(cohort: study_cohorts.Cohort) -> float:
+    options = options_for(cohort, {})
+    maps = Reparameterization(options.n_coefficients, options.landmarks, boundary=options.boundary)
+    parameters = np.repeat(maps.evaluate(maps.identity()[None]), len(cohort.splines), axis=0)
+    points = SplineStack(cohort.splines, maps.periodic).evaluate(parameters).points
+    return cohort.error(points, cohort.landmarks)[0]
+
+
+def one(cohort: study_cohorts.Cohort, change: dict) -> tuple[float, float]:
+    options = options_for(cohort, change)
+    start = time.perf_counter()
+    optimum = optimize_correspondence(cohort.splines, options).value
+    seconds = time.perf_counter() - start
+    periodic = (options.boundary == "periodic",) + (False,) * (len(options.n_coefficients) - 1)
+    points = SplineStack(cohort.splines, periodic).evaluate(optimum.parameters).points
+    return cohort.error(points, cohort.landmarks)[0], seconds
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    for name in ("femora", "aortas", "outlines", "work"):
+        parser.add_argument(f"--{name}", type=Path)
+    arguments = parser.parse_args()
+    work = arguments.work or Path(tempfile.mkdtemp())
+    config = HERE.parent / "configs" / "quickstart.yaml"
+    cohorts = [study_cohorts.synthetic_femora(config, work, 12, 1), study_cohorts.synthetic_femora(config, work, 6, 7)]
+    if arguments.femora:
+        cohorts.insert(0, study_cohorts.real_femora(config, arguments.femora, work))
+    if arguments.aortas:
+        cohorts.append(study_cohorts.aorta_walls(arguments.aortas))
+    if arguments.outlines:
+        cohorts.append(
+            study_cohorts.mouse_outlines(HERE.parent / "configs" / "mouse_vertebra.yaml", arguments.outlines, work)
+        )
+    starts = [start_error(c) for c in cohorts]
+    cache: dict[tuple[str, str], tuple[float, float]] = {}
+
+    def result(cohort: study_cohorts.Cohort, change: dict) -> tuple[float, float]:
+        key = (cohort.name, str(options_for(cohort, change)))
+        if key not in cache:
+            cache[key] = one(cohort, change)
+            print(cohort.name, change, cache[key], flush=True)
+        return cache[key]
+
+    lines = [
+        "# Where the defaults come from\n",
+        "Made by `python docs/make_defaults_study.py`; mean error of the correspondence, one option",
+    ]
+    lines += ["changed at a time, everything else at its default. The optimizer sees neither landmarks nor truth.\n"]
+    for k, c in enumerate(cohorts):
+        lines += [
+            f"{chr(65 + k)}. {c.name}: {starts[k]:.3f} {c.unit} at the start, {result(c, {})[0]:.3f} with the defaults."
+        ]
+    lines += [
+        "",
+        "| option | value | " + " | ".join(chr(65 + k) for k in range(len(cohorts))) + " |",
+        "|---|---|" + "---|" * len(cohorts),
+    ]
+    for factor, variants in FACTORS.items():
+        for label, change in variants:
+            cells = []
+            for c in cohorts:
+                mark = "**" if options_for(c, change) == options_for(c, {}) else ""
+                cells.append(f"{mark}{result(c, change)[0]:.3f}{mark}")
+            lines.append(f"| {factor} | {label} | " + " | ".join(cells) + " |")
+    lines += ["", "Bold: the default.", "", "![Error against each option](figures/defaults.png)", ""]
+    (HERE / "defaults.md").write_text("\n".join(lines), encoding="utf-8")
+    figure, axes = plt.subplots(2, 5, figsize=(17, 6.4), sharey=True)
+    for axis, (factor, variants) in zip(axes.ravel(), FACTORS.items(), strict=True):
+        for k, c in enumerate(cohorts):
+            axis.plot(
+                [label for label, _ in variants],
+                [result(c, change)[0] / starts[k] for _, change in variants],
+                "o-",
+                label=chr(65 + k),
+            )
+        axis.set_title(factor)
+        axis.tick_params(axis="x", labelrotation=20, labelsize=8)
+        axis.set_ylim(0, 1.1)
+    axes[0, 0].set_ylabel("error / error at the start")
+    axes[1, 0].set_ylabel("error / error at the start")
+    axes[0, 0].legend(frameon=False)
+    figure.tight_layout()
+    (HERE / "figures").mkdir(exist_ok=True)
+    figure.savefig(HERE / "figures" / "defaults.png", dpi=90, metadata={"Software": None})
+
+
+if __name__ == "__main__":
+    main()
