@@ -336,15 +336,17 @@ class _Synth(click.Group):
 
         @click.command(name, help=summary_line(path))
         @click.argument("out_dir", type=PATH, metavar="OUT_DIR")
-        @click.option("--n", type=click.IntRange(1), default=8, show_default=True, help="Number of shapes.")
+        @click.option(
+            "--n", type=click.IntRange(1), default=None, help="Number of shapes.  [default: the cohort's own]"
+        )
         @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of everything random.")
-        def command(out_dir: Path, n: int, seed: int) -> None:
+        def command(out_dir: Path, n: int | None, seed: int) -> None:
             with _errors(_debug()):
                 import importlib
 
                 module = importlib.import_module(f"ssmpipe.synth.{path.stem}")
-                module.write_cohort(out_dir, n, seed)
-                click.echo(f"{n} shapes written to {out_dir}")
+                module.write_cohort(out_dir, **({} if n is None else {"n": n}), seed=seed)
+                click.echo(f"{len(list((out_dir / 'scans').iterdir()))} shapes written to {out_dir}")
 
         return command
 
