@@ -176,6 +176,8 @@ class Stage:
         cohort before the per-shape runs and makes the inputs that are common to all (the reference of ``align``).
         The slots that it makes are listed in ``prepared``.
     prepared : tuple of Port
+    roles : tuple of str
+        Roles of landmarks that the stage reads.
     variants : tuple of Stage
         The same stage, by the same name and scope, for other kinds of input, with options and ports of their own.
     """
@@ -191,6 +193,7 @@ class Stage:
     cites: tuple[str, ...] = ()
     prepare: Callable[..., dict[str, Any]] | None = None
     prepared: tuple[Port, ...] = ()
+    roles: tuple[str, ...] = ()
     variants: tuple[Stage, ...] = ()
 
     def suiting(self, slots: Collection[str]) -> Stage:

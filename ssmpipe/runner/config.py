@@ -205,9 +205,20 @@ def load_project(path: Path, overrides: Sequence[str] = (), registry: Registry |
         steps=tuple(prepared),
         plan=plan,
         sources={source.id: source for source in sources},
-        warnings=tuple(warnings),
+        warnings=(*warnings, *_idle_roles(config, plan, document, registry)),
         registry=registry,
     )
+
+
+def _idle_roles(config: RunConfig, plan: Plan, document: Document, registry: Registry) -> list[str]:
+    """Return a warning for every role that no stage of the chain reads: misspelled, or meant for another chain."""
+    known = {role for step in plan.steps for role in registry.load(step.stage).roles}
+    return [
+        f"{document.where(('input', 'roles', role))}: input.roles.{role}: no stage of this chain reads it"
+        f"{did_you_mean(role, known)}"
+        for role in config.input.roles
+        if role not in known
+    ]
 
 
 # --- the document --------------------------------------------------------------------------------------------------

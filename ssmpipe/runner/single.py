@@ -31,7 +31,6 @@ from ssmpipe.io.outlines import OUTLINE_SUFFIXES, read_outline, write_outline
 from ssmpipe.runner.config import explain
 from ssmpipe.runner.document import parse_value
 from ssmpipe.runner.execute import disk_errors, failure_of, make_rng
-from ssmpipe.runner.sources import ID
 
 COHORT_KINDS = {"correspondence": "correspondence.npz", "model": "model.npz"}
 PER_VERTEX = ("uv",)  # not valid any more when the mesh has changed
@@ -162,8 +161,7 @@ def _run_shape(stage: Stage, source: Path, target: Path, seed: int, given: Mappi
 
 
 def _shape_id(path: Path) -> str:
-    stem = path.stem if path.suffix else path.name
-    return stem if ID.fullmatch(stem) else "shape"
+    return path.stem if path.suffix else path.name
 
 
 def _variant(stage: Stage, source: Path) -> Stage:

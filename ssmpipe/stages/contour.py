@@ -106,4 +106,5 @@ STAGE = Stage(
     inputs=(Port("contour", "outline"), Port("landmarks", "landmarks", optional=True)),
     outputs=(Port("contour", "outline"),),
     methods="Closed outlines were run counter-clockwise.",
+    roles=("start", "end"),
 )

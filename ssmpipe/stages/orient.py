@@ -96,4 +96,5 @@ STAGE = Stage(
     ),
     outputs=(Port("mesh", "trimesh"), Port("landmarks", "landmarks"), Port("transform", "transform")),
     methods="Shapes were brought to one side (mirrored: {mirror}) and into a canonical frame ({frame}).",
+    roles=ROLES,
 )

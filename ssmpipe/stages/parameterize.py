@@ -110,4 +110,5 @@ STAGE = Stage(
     methods="Surfaces were mapped to the unit square ({weighting} weights, boundary by arc length between four corners) and their "
     "stretch was minimized.",
     cites=("floater2003", "yoshizawa2004", "li2015"),
+    roles=ROLES,
 )

@@ -95,4 +95,5 @@ STAGE = Stage(
     inputs=(Port("mesh", "trimesh"), Port("landmarks", "landmarks", optional=True)),
     outputs=(Port("mesh", "trimesh"),),
     methods="Surfaces were cut by a plane across the axis, {fraction} widths above the lowest point unless stated otherwise.",
+    roles=("trim",),
 )

@@ -100,3 +100,17 @@ def test_group_stage_on_a_folder(call: Call, scans: Path, tmp_path: Path) -> Non
     (tmp_path / "empty").mkdir()
     result = call("total", tmp_path / "empty", tmp_path / "r2")
     assert (result.exit_code, "no files with 'mesh'" in result.output) == (3, True)
+
+
+def test_names_with_spaces_keep_shapes_apart(call: Call, bone: Path) -> None:
+    marks = bone.with_name("marks.json")
+    marks.write_text(json.dumps({name: {"tip": [1, 2, 3]} for name in ("patient 1", "patient 2")}))
+    write_mesh(bone.with_name("ref.ply"), tetrahedron(10, 100))
+    for name in ("patient 1", "patient 2"):
+        out = bone.parent / "moved" / f"{name}.ply"
+        options = ("--landmarks", marks, "--reference", bone.with_name("ref.ply"))
+        assert call("shift", bone.rename(bone.with_name(f"{name}.stl")), out, *options).exit_code == 0
+        bone = bone.with_name(f"{name}.stl")
+    result = call("total", bone.parent / "moved", bone.parent / "sum")
+    assert result.exit_code == 0, result.output
+    assert "2 shapes; results are in" in result.output

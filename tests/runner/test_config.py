@@ -267,3 +267,14 @@ def test_options_that_are_files_count_by_content(tmp_path: Path, scans: Path, re
     assert step.options["reference"].startswith("file:")
     assert str(tmp_path) not in json.dumps(dict(step.options))
     assert step.files["reference"][1] == str(scans / "a.ply")
+
+
+def test_a_role_that_nothing_reads_is_named(tmp_path: Path, scans: Path, registry: Registry) -> None:
+    (tmp_path / "marks.json").write_text('{"a": {"tip": [0, 0, 0]}}')
+    path = tmp_path / "c.yaml"
+    roles = "  roles: {trim: tip, corner1: tip}"
+    path.write_text(
+        f"name: t\ninput:\n  scans: scans\n  landmarks: marks.json\n{roles}\noutput: out\nanatomy: femur-distal\n"
+    )
+    (warning,) = (w for w in load_project(path, (), registry).warnings if "roles" in w)
+    assert warning.endswith("c.yaml:5: input.roles.corner1: no stage of this chain reads it; did you mean 'corner_1'?")

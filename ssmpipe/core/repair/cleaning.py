@@ -110,7 +110,8 @@ def clean(
         large = np.array([int(np.argmax(share))])
     if len(large) > 1 and components == "one":
         raise TopologyError(
-            _describe_components(split, label, share, large), "remove the others in the segmentation, or keep the largest with repair.components: largest"
+            _describe_components(split, label, share, large),
+            "remove the others in the segmentation, or keep the largest with repair.components: largest",
         )
     keep = int(large[np.argmax(share[large])])
     changes["dropped_components"] = len(area) - 1
