@@ -1,0 +1,153 @@
+"""Time to the same description length: concatenated small warps against the direct spline reparameterization.
+
+Box-bump curves with Cauchy kernels, plane-bump surfaces with clamped-plate splines (Li 2015, figures 2.9 and 2.15). Both sides
+see the same splines, landmarks, weights, threshold and reference, no prior and no pose, on one thread. The spline map runs to
+its end; the baseline then has to reach the same description length within its budget. Run from the repository:
+
+    python -m benchmarks.baselines --budget 120
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from ssmpipe.core.baselines import cauchy, clamped_plate
+from ssmpipe.core.baselines.concatenation import Concatenation
+from ssmpipe.core.correspondence.optimize import EngineOptions, optimize_correspondence
+from ssmpipe.core.result import Result
+from ssmpipe.core.spline.evaluate import Spline
+from ssmpipe.core.spline.fit_curve import fit_curve
+from ssmpipe.synth import box_bump, plane_bump
+
+REFERENCE = 1
+SHARES = (0.5, 0.8, 0.9, 0.95, 0.99, 1.0)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A cohort, the resolution of the spline map, and the baseline to beat."""
+
+    name: str
+    splines: Sequence[Spline]
+    n_coefficients: tuple[int, ...]
+    grid: tuple[int, ...]
+    barriers: tuple[float, ...]
+    baseline: Callable[..., Result[Concatenation]]
+
+
+@dataclass(frozen=True)
+class Run:
+    """Description length over time."""
+
+    seconds: np.ndarray
+    lengths: np.ndarray
+    steps: int
+    evaluations: int
+
+    def time_to(self, level: float) -> float:
+        """Return when ``level`` was reached first; infinity if never."""
+        reached = np.flatnonzero(self.lengths <= level + 1e-9)
+        return float(self.seconds[reached[0]]) if len(reached) else float("inf")
+
+
+def boxes() -> list[Spline]:
+    u = np.linspace(0.0, 1.0, 4001)
+    lengths = [(c, box_bump.feature_lengths(c)[-1]) for c in np.linspace(15.0, 45.0, 4)]
+    return [
+        fit_curve(box_bump.outline(c, u * whole), degree=2, n_control=box_bump.N_CONTROL, parameters=u)
+        for c, whole in lengths
+    ]
+
+
+def planes() -> list[Spline]:
+    return [plane_bump.bump(mean) for mean in 30.0 + 7.5 * np.array([-1.5, -0.5, 0.5, 1.5])]
+
+
+def problems() -> list[Problem]:
+    return [
+        Problem("box-bump: Cauchy kernels", boxes(), (22,), (51,), (30.0, 10.0, 3.0, 1.0, 0.3), cauchy.optimize),
+        Problem("plane-bump: clamped plates", planes(), (12, 12), (51, 51), (30.0, 10.0, 3.0), clamped_plate.optimize),
+    ]
+
+
+def run_spline(problem: Problem, lambda_cut: float) -> Run:
+    options = EngineOptions(
+        n_coefficients=problem.n_coefficients,
+        landmarks=problem.grid,
+        covariance="discrete",
+        lambda_cut=lambda_cut,
+        pose="keep",
+        normalize="none",
+        prior=0.0,
+        barriers=problem.barriers,
+        reference=REFERENCE,
+    )
+    rows: list[tuple[float, float]] = []
+    begin = time.perf_counter()
+    result = optimize_correspondence(
+        problem.splines,
+        options,
+        record=lambda row: rows.append((time.perf_counter() - begin, row["description_length"])),
+    )
+    seconds, lengths = np.array(rows).T
+    return Run(seconds, lengths, result.n_iterations, result.n_evaluations)
+
+
+def run_baseline(problem: Problem, lambda_cut: float, target: float, budget: float, seed: int) -> Run:
+    result = problem.baseline(
+        problem.splines,
+        grid=problem.grid,
+        lambda_cut=lambda_cut,
+        reference=REFERENCE,
+        n_warps=10**9,
+        rng=np.random.default_rng(seed),
+        time_budget_s=budget,
+        target=target,
+        clock=time.perf_counter,
+    )
+    history = result.history
+    return Run(history["elapsed"], history["description_length"], result.n_iterations, result.n_evaluations)
+
+
+def compare(problem: Problem, lambda_cut: float, budget: float, seed: int) -> None:
+    spline = run_spline(problem, lambda_cut)
+    start, target = float(spline.lengths[0]), float(spline.lengths.min())
+    warps = run_baseline(problem, lambda_cut, target, budget, seed)
+    n = " x ".join(map(str, problem.n_coefficients))
+    print(f"\n{problem.name}, {len(problem.splines)} shapes, lambda_cut {lambda_cut:g}, start {start:.2f}")
+    print(
+        f"  spline map, {n} coefficients: {target:.2f} after {spline.steps} iterations, {spline.evaluations} evaluations"
+    )
+    print(f"  warps, seed {seed}: {warps.lengths[-1]:.2f} after {warps.steps} warps, {warps.evaluations} evaluations")
+    print(f"  {'share of the fall':>18} {'level':>8} {'spline s':>10} {'warps s':>10} {'ratio':>9}")
+    for share in SHARES:
+        level = start + share * (target - start)
+        fast, slow = spline.time_to(level), warps.time_to(level)
+        if np.isfinite(slow):
+            print(f"  {share:18.2f} {level:8.2f} {fast:10.3f} {slow:10.3f} {slow / fast:9.1f}")
+        else:
+            spent = float(warps.seconds[-1])
+            print(f"  {share:18.2f} {level:8.2f} {fast:10.3f} {f'> {spent:.0f}':>10} {f'> {spent / fast:.0f}':>9}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--budget", type=float, default=120.0, help="seconds for each baseline [120]")
+    parser.add_argument("--lambda-cut", type=float, default=3e-5, help="threshold of the description length [3e-5]")
+    parser.add_argument("--seed", type=int, default=0, help="of the random warps [0]")
+    parser.add_argument("--only", choices=["curve", "surface"], help="one of the two problems")
+    options = parser.parse_args()
+    with threadpool_limits(1):
+        for problem, kind in zip(problems(), ("curve", "surface"), strict=True):
+            if options.only in (None, kind):
+                compare(problem, options.lambda_cut, options.budget, options.seed)
+
+
+if __name__ == "__main__":
+    main()
