@@ -70,7 +70,7 @@ def write_cohort(out_dir: Path, n: int = 4, seed: int = 0) -> None:
         Without effect: nothing is random.
     """
     centres = np.linspace(15.0, 45.0, n)
-    u = np.linspace(0.0, 1.0, 4001)
+    u = np.linspace(0.0, 1.0, 1601)
     curves = [
         fit_curve(outline(c, u * feature_lengths(c)[-1]), degree=2, n_control=N_CONTROL, parameters=u) for c in centres
     ]

@@ -28,7 +28,7 @@ MODES = {
     "length": "length of all fingers, 7 % per unit",
     "width": "width of palm and fingers, 5 % per unit",
 }
-N_CONTROL = 90
+N_CONTROL = 150
 _BASES = np.array([[-40.0, 6.0], [-25.0, 52.0], [-4.0, 57.0], [17.0, 53.0], [35.0, 42.0]])
 _ANGLES = np.array([-46.0, -9.0, -1.0, 6.0, 16.0])  # degrees from straight up, towards the little finger
 _LENGTHS = np.array([54.0, 68.0, 76.0, 70.0, 54.0])
