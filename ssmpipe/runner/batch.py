@@ -240,11 +240,19 @@ def interrupts_for_parent() -> Iterator[None]:
     from multiprocessing.resource_tracker import ensure_running
 
     ensure_running()  # when it starts later, it unblocks the signal
-    old = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    old, handler, held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}), signal.getsignal(signal.SIGINT), []
+    # a library's thread may still take the signal: then, too, it waits until no child is half started
+    waits = callable(handler) and threading.current_thread() is threading.main_thread()
+    if waits:
+        signal.signal(signal.SIGINT, lambda *_: held.append(True))
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, old)
+        if waits:
+            signal.signal(signal.SIGINT, handler)
+            if held:
+                signal.raise_signal(signal.SIGINT)
 
 
 @dataclass
