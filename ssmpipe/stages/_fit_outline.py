@@ -12,7 +12,6 @@ from ssmpipe.core.outline.distance import point_to_segments
 from ssmpipe.core.outline.outline import Outline, edge_indices, resample
 from ssmpipe.core.spline.fit_curve import Spacing, curve_points, fit_curve
 
-
 _PER_CONTROL = 8
 
 
@@ -20,7 +19,7 @@ class Config(StageConfig):
     """Options of ``fit`` for outlines."""
 
     degree: Annotated[int, Field(ge=1, le=5, description="Degree of the spline.")] = 2
-    n_control: Annotated[int, Field(ge=4, description="Control points, the same number for all shapes [count].")] = 50
+    n_control: Annotated[int, Field(ge=4, description="Control points, the same number for all shapes [count].")] = 80
     points: Annotated[
         Literal["polyline", "given"],
         Field(
