@@ -83,7 +83,7 @@ def optimize(
     max_evaluations: int | None = None,
     target: float | None = None,
     clock: Callable[[], float] | None = None,
-    widths: tuple[float, float] = (0.02, 0.3),
+    widths: tuple[float, float] = (0.002, 0.02),
 ) -> Result[Concatenation]:
     """Minimize the description length of curves by concatenated Cauchy kernels (Li 2015, sec. 2.3.1 and appendix A).
 
@@ -95,8 +95,8 @@ def optimize(
     splines : sequence of BSplineCurve
     grid, lambda_cut, reference, n_warps, rng, time_budget_s, max_evaluations, target, clock
         As in :func:`ssmpipe.core.baselines.concatenation.optimize_concatenation`.
-    widths : (float, float), default=(0.02, 0.3)
-        Range of the kernel widths.
+    widths : (float, float), default=(0.002, 0.02)
+        Range of the kernel widths. Of seven ranges tried on box-bump with 51 landmarks this one fell lowest in 30 s.
     """
     low, high = np.log(widths)
 
