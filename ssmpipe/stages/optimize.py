@@ -12,7 +12,7 @@ from ssmpipe.contract import Context, Landmarks, Port, Stage, StageConfig, Table
 from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.correspondence.correspondence import Correspondence
 from ssmpipe.core.correspondence.optimize import EngineOptions, Optimum, optimize_correspondence
-from ssmpipe.core.errors import ConfigError, FoldoverError
+from ssmpipe.core.errors import ConfigError
 from ssmpipe.core.mesh.grid import grid_faces
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.spline.evaluate import Spline
@@ -166,9 +166,10 @@ def run(
         ctx.metric("largest_guide_residual_mm", float(np.nanmax(optimum.guide_residuals)))
     unproved = [i for i, c in zip(ids, optimum.certificates, strict=True) if c.verdict != "proved"]
     if unproved:
-        raise FoldoverError(
-            f"the reparameterization of {', '.join(unproved)} is not proved one-to-one",
-            "use form: bezier, or raise the last of optimize.barriers",
+        ctx.metric("unproved", unproved)
+        ctx.warn(
+            f"the reparameterization of {', '.join(unproved)} is not proved one-to-one; "
+            "use optimize.form: bezier, or raise the last of optimize.barriers"
         )
     correspondence = _correspondence(optimum, ids, splines, transform, options)
     history = {key: values.tolist() for key, values in result.history.items()}
