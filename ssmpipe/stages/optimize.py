@@ -15,6 +15,7 @@ from ssmpipe.core.correspondence.optimize import EngineOptions, Optimum, optimiz
 from ssmpipe.core.errors import ConfigError
 from ssmpipe.core.mesh.grid import grid_faces
 from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.core.outline.outline import Outline
 from ssmpipe.core.spline.evaluate import Spline
 
 _DEFAULT = EngineOptions()
@@ -262,12 +263,19 @@ def _correspondence(
     )
 
 
-def _corresponded(correspondence: Correspondence) -> dict[str, TriMesh]:
-    """Return one surface per shape in scan coordinates; mirrored shapes get the same triangles, wound outward."""
-    if len(correspondence.faces) == 0 or correspondence.points.shape[2] != 3:
-        return {}
-    out = {}
+def _corresponded(correspondence: Correspondence) -> dict[str, TriMesh | Outline]:
+    """Return one surface (or planar outline) per shape in scan coordinates.
+
+    Mirrored shapes get the same triangles, wound outward.
+    """
+    out: dict[str, TriMesh | Outline] = {}
+    planar = correspondence.points.shape[2] == 2
+    if len(correspondence.faces) == 0 and not planar:
+        return out
     for i, points, matrix in zip(correspondence.ids, correspondence.points_scan, correspondence.transform, strict=True):
+        if planar:
+            out[i] = Outline(points, correspondence.topology == "curve-closed")
+            continue
         mirrored = np.linalg.det(matrix[:3, :3]) < 0
         faces: Ints = correspondence.faces[:, ::-1] if mirrored else correspondence.faces
         out[i] = TriMesh(points, faces)

@@ -98,7 +98,8 @@ def test_tubes_close_and_curves_have_no_faces():
     out, _ = run(curves, {i: np.eye(4) for i in curves}, **cfg)
     c = out["correspondence"]
     assert (c.topology, c.faces.shape, c.points.shape) == ("curve-closed", (0, 3), (3, 40, 2))
-    assert out["corresponded"] == {}
+    assert out["corresponded"]["c1"].closed
+    np.testing.assert_array_equal(out["corresponded"]["c1"].points, c.points_scan[1])
 
 
 def test_unknown_names_are_refused():
