@@ -1,4 +1,4 @@
-"""Look at every scan before any work: can it be read, what is it, do units, side and landmarks fit."""
+"""Look at every scan before any work: can it be read, what is it, do units, side and landmarks fit, what would refuse it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import TimeoutError as FutureTimeout
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from multiprocessing import get_context
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,10 @@ from typing import TYPE_CHECKING, Any
 from ssmpipe.core.errors import SsmpipeError
 from ssmpipe.runner.batch import one_thread_environment, start_child
 from ssmpipe.runner.config import Project
+from ssmpipe.runner.execute import rehearse
+from ssmpipe.runner.plan import PlannedStep
 from ssmpipe.runner.presets import PRESETS
+from ssmpipe.runner.registry import Registry
 from ssmpipe.runner.run import default_jobs
 from ssmpipe.runner.sources import TO_MM, Source, check_landmarks, check_size, landmark_distances
 from ssmpipe.runner.suggest import count
@@ -45,20 +49,55 @@ class ScanCheck:
     error: str = ""
 
 
-def inspect(source: Source) -> ScanCheck:
-    """Read a scan and describe it; everything that is wrong with it ends in ``error`` or ``warnings``."""
+def inspect(
+    source: Source, steps: Sequence[PlannedStep] = (), registry: Registry | None = None, seed: int = 0
+) -> ScanCheck:
+    """Read a scan, describe it, and take it through the first stages; what is wrong ends in ``error`` or ``warnings``.
+
+    Parameters
+    ----------
+    source : Source
+    steps : sequence of PlannedStep
+        The chain; those before the first that needs other shapes are run in memory, the others only named by their roles.
+    registry : Registry, optional
+    seed : int
+    """
+    registry = registry or Registry.default()
     found = ScanCheck(source.id, source.path.name, source.side, n_landmarks=len(source.landmarks or {}))
     try:
-        if source.kind == "spline":
-            source.load()
+        if source.kind == "outline":
+            found = _inspect_outline(source, found)
+        elif source.kind == "mesh":
+            found = _inspect_mesh(source, found)
+        if found.error:
             return found
-        return _inspect_outline(source, found) if source.kind == "outline" else _inspect_mesh(source, found)
+        alone = list(takewhile(lambda step: step.scope == "shape" and not step.prepared, steps))
+        refusal = rehearse(source, alone, registry, seed)
+        names = [step.id for step in steps]
+        later = steps[names.index(refusal[0]) + 1 if refusal else len(alone) :]
+        errors = [f"{refusal[0]}: {refusal[1]}"] if refusal else []
+        return replace(found, error="; ".join([*errors, *_missing_roles(source, later, registry)]))
     except SsmpipeError as error:
         return replace(found, error=str(error))
     except OSError as error:
         return replace(found, error=f"the file cannot be read ({error.strerror or error})")
     except (Exception, SystemExit) as error:
         return replace(found, error=f"internal error {type(error).__name__}: {error}")
+
+
+def _missing_roles(source: Source, steps: Sequence[PlannedStep], registry: Registry) -> list[str]:
+    """Return what the stages will say of landmarks that this shape lacks, for the roles that they read."""
+    from ssmpipe.contract import Landmarks
+
+    marks = Landmarks(dict.fromkeys(source.landmarks or {}, ()), source.roles)  # type: ignore[arg-type]
+    errors = []
+    for step in steps:
+        for role in registry.load(step.stage).roles:
+            try:
+                marks.role(role)
+            except SsmpipeError as error:
+                errors.append(f"{step.id}: {error}")
+    return errors
 
 
 def _inspect_mesh(source: Source, found: ScanCheck) -> ScanCheck:
@@ -107,13 +146,6 @@ def _inspect_mesh(source: Source, found: ScanCheck) -> ScanCheck:
         warnings += check_landmarks(mesh, points, source.tolerance_mm, source.units)
     except SsmpipeError as error:
         errors.append(str(error))
-    missing = sorted(
-        f"{role}: '{name}'"
-        for role, name in source.roles.items()
-        if source.landmarks is not None and name not in points
-    )
-    if missing:
-        warnings.append(f"landmark missing for role {', '.join(missing)}")
     preset = PRESETS.get(source.anatomy)
     if preset is not None and preset.needs_side and source.side is None:
         warnings.append("side is unknown; add a column side (L or R) to the cohort table")
@@ -139,11 +171,12 @@ def _inspect_outline(source: Source, found: ScanCheck) -> ScanCheck:
 
 
 def check_project(project: Project, jobs: int | None = None) -> list[ScanCheck]:
-    """Inspect all scans in child processes; one that crashes its reader is named like any other."""
+    """Inspect all scans in child processes; one that crashes its reader, or a stage, is named like any other."""
     from pebble import ProcessExpired, ProcessPool
 
     limits = project.config.limits
     n = min(jobs or default_jobs(), len(project.sources))
+    chain = (project.plan.steps, project.registry, project.config.seed)
     checks: list[ScanCheck] = []
     with TemporaryDirectory(prefix="ssmpipe-") as noise, one_thread_environment():
         pool: Any = ProcessPool(
@@ -154,16 +187,19 @@ def check_project(project: Project, jobs: int | None = None) -> list[ScanCheck]:
         )
         with pool:
             futures = [
-                (s, pool.schedule(inspect, args=(s,), timeout=limits.timeout_s)) for s in project.sources.values()
+                (s, pool.schedule(inspect, args=(s, *chain), timeout=limits.timeout_s))
+                for s in project.sources.values()
             ]
             for source, future in futures:
                 plain = ScanCheck(source.id, source.path.name, source.side)
                 try:
                     checks.append(future.result())
                 except FutureTimeout:
-                    checks.append(replace(plain, error=f"could not be read within {limits.timeout_s:g} s"))
+                    checks.append(replace(plain, error=f"could not be checked within {limits.timeout_s:g} s"))
                 except ProcessExpired:
-                    checks.append(replace(plain, error="the reader crashed; open and export the scan in a mesh viewer"))
+                    checks.append(
+                        replace(plain, error="the process crashed; try: open and export the scan in a mesh viewer")
+                    )
     return checks
 
 

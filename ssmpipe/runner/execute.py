@@ -32,6 +32,8 @@ from ssmpipe.io.outlines import read_outline
 from ssmpipe.runner.fingerprint import VOLATILE, file_digest
 from ssmpipe.runner.manifest import FILE, Manifest, Output
 from ssmpipe.runner.plan import SCAN, PlannedStep, Producer
+from ssmpipe.runner.registry import Registry
+from ssmpipe.runner.sources import Source
 from ssmpipe.runner.workspace import Workspace
 
 TIMING = "timing.json"
@@ -171,6 +173,40 @@ def run_task(
     return TaskRecord(
         step.id, shape, "done", decision.reason, request.fingerprint, metrics, tuple(ctx.warnings), seconds, peak
     )
+
+
+def rehearse(
+    source: Source, steps: Sequence[PlannedStep], registry: Registry, seed: int
+) -> tuple[str, SsmpipeError] | None:
+    """Take one scan through per-shape steps in memory, as a run would, and write nothing.
+
+    Parameters
+    ----------
+    source : Source
+    steps : sequence of PlannedStep
+        From the first of the chain on; none of them may need what is prepared from other shapes.
+    registry : Registry
+    seed : int
+
+    Returns
+    -------
+    tuple of (str, SsmpipeError) or None
+        The step that refuses the shape, and why; None when all accept it.
+    """
+    log = logging.Logger("check")
+    log.addHandler(logging.NullHandler())
+    made: dict[str, dict[str, Any]] = {SCAN: source.load()}
+    for step in steps:
+        stage = registry.load(step.stage).suiting([s for s, p in step.inputs.items() if p is not None])
+        cfg = stage.config.model_validate_json(json.dumps(_stage_options(step)))
+        artifacts = {s: None if p is None else made[p.step].get(s) for s, p in step.inputs.items()}
+        try:
+            made[step.id] = _call(
+                stage, artifacts, cfg, Context(source.id, make_rng(seed, source.id, step.id), log), prepare=False
+            )
+        except SsmpipeError as error:
+            return step.id, error
+    return None
 
 
 def _stage_options(step: PlannedStep) -> dict[str, Any]:

@@ -217,6 +217,9 @@ def test_check_table(call: Call, scans: Path, tmp_path: Path, write_config: Call
     for name in "cd":
         (scans / f"{name}.ply").unlink()
     assert call("check", config).exit_code == 0
+    result = call("check", config, "--set", "stages.grow.refuse=[a]")
+    assert (result.exit_code, "1 of 2 scans can be used" in result.output) == (3, True)
+    assert "refused: a, a.ply: grow: the mesh has 2 components; try: keep the largest" in result.output
 
 
 def test_schema_accepts_what_the_config_accepts(call: Call) -> None:

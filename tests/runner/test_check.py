@@ -1,0 +1,66 @@
+"""What ``check`` finds before a run: the same scans are refused, for the same reasons."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.io.meshes import write_mesh
+from ssmpipe.runner.check import check_project, inspect
+from ssmpipe.runner.config import Project
+from ssmpipe.runner.run import RunOptions, RunResult
+from tests.support.toys import tetrahedron
+
+Load = Callable[..., Project]
+Run = Callable[..., RunResult]
+
+
+def two_tetrahedra() -> TriMesh:
+    one = tetrahedron()
+    return TriMesh(np.vstack([one.vertices, one.vertices + 50]), np.vstack([one.faces, one.faces + 4]))
+
+
+def errors(project: Project) -> dict[str, str]:
+    steps = (project.plan.steps, project.registry, project.config.seed)
+    return {i: inspect(source, *steps).error for i, source in project.sources.items()}
+
+
+def test_what_a_run_refuses_is_refused(project: Load, run: Run, scans: Path) -> None:
+    write_mesh(scans / "b.ply", two_tetrahedra())
+    chain = ["repair", "grow", "shift", "total"]
+    found = {check.id: check for check in check_project(project("stages.grow.refuse=[c]", stages=chain))}
+    result = run("stages.grow.refuse=[c]", "stages.repair.components=one", stages=chain, options=RunOptions(jobs=2))
+    assert {i for i, check in found.items() if check.error} == set(result.failures) == {"b", "c"}
+    for i, failure in result.failures.items():
+        assert found[i].error == f"{failure.stage}: {failure.error}; try: {failure.remedy}"
+    assert (found["b"].n_components, found["b"].n_faces) == (2, 8)
+
+
+def test_options_of_the_config_count(project: Load, scans: Path) -> None:
+    write_mesh(scans / "b.ply", two_tetrahedra())
+    kept = errors(project("stages.repair.components=largest", stages=["repair", "shift"]))
+    assert kept == dict.fromkeys("abcd", "")
+
+
+def test_nothing_is_written_and_no_bug_ends_it(project: Load, tmp_path: Path) -> None:
+    found = errors(project("stages.grow.bug=[a]"))
+    assert found["a"] == "internal error ZeroDivisionError: oops"
+    assert found["b"] == ""
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_role_without_its_landmark(tmp_path: Path, project: Load) -> None:
+    marks = {i: {"head": [0, 0, 0], "tip": [0, 0, 0]} for i in "ab"} | {"c": {"tip": [6, 6, 6]}}
+    (tmp_path / "marks.json").write_text(json.dumps(marks))
+    given = {"landmarks": "marks.json", "roles": {"corner_2": "head"}}
+    found = errors(
+        project(input=given, anatomy="disk", stages=[{"repair": {"skip": True}}, {"smooth": {"skip": True}}])
+    )
+    assert "head" not in found["a"]
+    assert "parameterize: landmark 'head' (role 'corner_2') is missing" in found["c"]
+    assert "parameterize: landmark 'head' (role 'corner_2') is missing" in found["d"]  # no landmarks at all
