@@ -69,7 +69,7 @@ PRESETS: Mapping[str, Preset] = {
                 ("smooth", {}),
                 ("decimate", {}),
                 ("align", {}),
-                ("parameterize", {"corner_axes": "rim"}),
+                ("parameterize", {"corner_axes": "aligned"}),
                 ("sample", {}),
                 ("fit", {}),
                 *_GROUP,

@@ -13,6 +13,7 @@ from ssmpipe.core.errors import LandmarkError
 from ssmpipe.core.mesh.topology import euler_characteristic
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.parameterize.boundary import (
+    aligned_axes,
     corners_by_angle,
     insert_corners,
     order_corners,
@@ -36,9 +37,10 @@ class Config(StageConfig):
         ),
     ] = (45.0, 135.0, 225.0, 315.0)
     corner_axes: Annotated[
-        Literal["frame", "rim"],
+        Literal["frame", "aligned", "rim"],
         Field(
-            description="Axes in which the angles count: x and y of the aligned frame, or the principal axes of the rim."
+            description="Axes in which the angles count. frame: x and y of the aligned frame; aligned: the axes of the aligned "
+            "frame turned into the plane of the rim; rim: the principal axes of the rim, each shape's own."
         ),
     ] = "frame"
     weighting: Annotated[
@@ -91,10 +93,17 @@ def _wanted_corners(mesh: TriMesh, landmarks: Landmarks | None, cfg: Config, ctx
         )
     rim = rim_of(mesh)
     axes, ratio = rim_axes(mesh, rim) if cfg.corner_axes == "rim" else (np.eye(3)[:2], np.inf)
+    if cfg.corner_axes == "aligned":
+        axes, margin = aligned_axes(mesh, rim)
+        if margin < 0.1:
+            ctx.warn(
+                "the rim lies askew to the aligned frame, so the choice of its axes is nearly arbitrary; assign landmarks to "
+                "corner_1 to corner_4"
+            )
     if ratio < 1.1:
         ctx.warn(
             f"the rim is nearly round (its axes differ by {100 * (ratio - 1):.0f} %), so its principal axes are arbitrary; "
-            "assign landmarks to corner_1 to corner_4, or use corner_axes: frame"
+            "assign landmarks to corner_1 to corner_4, or use corner_axes: aligned"
         )
     return corners_by_angle(mesh, rim, cfg.corner_angles_deg, axes), cfg.corner_axes
 
@@ -102,7 +111,7 @@ def _wanted_corners(mesh: TriMesh, landmarks: Landmarks | None, cfg: Config, ctx
 STAGE = Stage(
     name="parameterize",
     scope="shape",
-    version=1,
+    version=2,
     config=Config,
     run=run,
     inputs=(Port("mesh", "trimesh"), Port("landmarks", "landmarks", optional=True)),

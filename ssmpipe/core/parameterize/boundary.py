@@ -51,6 +51,40 @@ def rim_axes(mesh: TriMesh, rim: Ints) -> tuple[Floats, float]:
     return axes * signs, float(np.sqrt(variances[2] / variances[1]))
 
 
+def aligned_axes(mesh: TriMesh, rim: Ints) -> tuple[Floats, float]:
+    """Return two axes in the plane of a loop that follow the coordinate frame, so that aligned shapes get the same ones.
+
+    The frame axis nearest to the loop's normal is turned onto the normal by the shortest way; the other two go with it.
+
+    Returns
+    -------
+    axes : (2, 3) float64
+        Orthonormal rows.
+    margin : float
+        By how much the nearest frame axis is nearer than the next (difference of the cosines); near zero the choice is
+        arbitrary.
+
+    Examples
+    --------
+    >>> from ssmpipe.core.mesh.primitives import flat_square
+    >>> square = flat_square(4)
+    >>> axes, margin = aligned_axes(square, rim_of(square))
+    >>> bool(np.allclose(axes, np.eye(3)[:2])), margin
+    (True, 1.0)
+    """
+    start = mesh.vertices[rim] - rim_centroid(mesh, rim)
+    normal = np.cross(start, np.roll(start, -1, axis=0)).sum(axis=0)
+    normal /= np.linalg.norm(normal)
+    nearness = np.abs(normal)
+    k = int(np.argmax(nearness))
+    pole = np.sign(normal[k]) * np.eye(3)[k]
+    first = np.eye(3)[(k + 1) % 3]
+    # the shortest rotation from the pole to the normal, applied to the next frame axis
+    turned = first - (first @ normal) / (1.0 + pole @ normal) * (pole + normal)
+    others = np.sort(nearness)
+    return np.stack([turned, np.cross(normal, turned) * np.sign(normal[k])]), float(others[2] - others[1])
+
+
 def corners_by_angle(mesh: TriMesh, rim: Ints, angles_deg: Sequence[float], axes: Floats) -> Floats:
     """Return the places on a loop seen from its centroid under the given angles, (n, 3) [mm].
 
