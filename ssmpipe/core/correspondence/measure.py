@@ -8,6 +8,7 @@ import numpy as np
 
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
+from ssmpipe.core.covariance.formulation_two import size_weights
 from ssmpipe.core.errors import GeometryError
 
 Quadrature = Literal["grid", "midpoint", "gauss"]
@@ -49,37 +50,6 @@ def landmark_rule(
             raise GeometryError(f"there is no quadrature '{quadrature}'", "grid, midpoint or gauss")
     total = weights[0] if len(weights) == 1 else np.multiply.outer(weights[0], weights[1]).ravel()
     return tuple(nodes), total
-
-
-def size_element(tangents: tuple[Floats, ...]) -> Floats:
-    """Return the length or area element (n_P,) from the derivatives (n_P, d) in each direction.
-
-    Examples
-    --------
-    >>> size_element((np.array([[3.0, 4.0]]),))
-    array([5.])
-    """
-    if len(tangents) == 1:
-        return np.asarray(np.linalg.norm(tangents[0], axis=-1))
-    return np.asarray(np.linalg.norm(np.cross(tangents[0], tangents[1]), axis=-1))
-
-
-def size_weights(base: Floats, tangents: tuple[Floats, ...]) -> Floats:
-    """Return the weights of formulation II: quadrature weight times size element of the mean, sum 1 [1.25, 3.14-3.16]."""
-    share = base * size_element(tangents)
-    return share / share.sum()
-
-
-def size_weights_adjoint(base: Floats, tangents: tuple[Floats, ...], d_weights: Floats) -> tuple[Floats, ...]:
-    """Return ``df/d(tangents)`` from ``df/d(weights)`` of :func:`size_weights`."""
-    element = np.maximum(size_element(tangents), 1e-300)
-    total = float((base * element).sum())
-    weights = base * element / total
-    d_element = base * (d_weights - float(d_weights @ weights)) / total
-    if len(tangents) == 1:
-        return (tangents[0] * (d_element / element)[:, None],)
-    normal = np.cross(tangents[0], tangents[1]) * (d_element / element)[:, None]
-    return np.cross(tangents[1], normal), np.cross(normal, tangents[0])
 
 
 def grid_tangents(mean: Floats, grid: tuple[int, ...], periodic: tuple[bool, ...]) -> tuple[Floats, ...]:

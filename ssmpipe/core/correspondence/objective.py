@@ -14,10 +14,10 @@ from ssmpipe.core.correspondence.barrier import Barrier
 from ssmpipe.core.correspondence.covariance import Spectrum, spectral_adjoint, spectrum
 from ssmpipe.core.correspondence.guides import Guides
 from ssmpipe.core.correspondence.jacobian import Jacobian, JacobianForm, largest_feasible_step
-from ssmpipe.core.correspondence.measure import size_weights, size_weights_adjoint
 from ssmpipe.core.correspondence.prior import bending_matrix
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
 from ssmpipe.core.correspondence.spectral import SpectralFunction
+from ssmpipe.core.covariance.formulation_two import size_weights, size_weights_adjoint
 from ssmpipe.core.spline.evaluate import Jet, SplineStack
 
 Covariance = Literal["discrete", "I", "II"]
