@@ -51,6 +51,16 @@ class StageConfig(BaseModel):
 
 
 @dataclass(frozen=True)
+class NamesShape:
+    """Mark of an option whose value is a shape id, in its ``Annotated`` type; ``words`` may stand for one.
+
+    For a prepared slot of the same name the value may be a file as well. The runner checks it before anything runs.
+    """
+
+    words: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class Landmarks:
     """Named points of one shape, in the current frame [mm], and which name serves which role.
 

@@ -12,8 +12,8 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from ssmpipe.contract import Stage
-from ssmpipe.core.errors import ArtifactError, ConfigError, SsmpipeError
+from ssmpipe.contract import NamesShape, Stage
+from ssmpipe.core.errors import ConfigError, SsmpipeError
 from ssmpipe.runner.document import Document, Loc, parse_value, read_document
 from ssmpipe.runner.fingerprint import file_digest
 from ssmpipe.runner.plan import Plan, PlanError, Step, make_plan
@@ -29,7 +29,7 @@ from ssmpipe.runner.sources import (
     find_sources,
     scan_files,
 )
-from ssmpipe.runner.suggest import did_you_mean
+from ssmpipe.runner.suggest import count, did_you_mean
 
 
 class _Section(BaseModel):
@@ -169,10 +169,8 @@ def load_project(path: Path, overrides: Sequence[str] = (), registry: Registry |
         )
     planar = any(entry.stage == "contour" for entry in entries)
     later: list[str] = []  # problems of the inputs come after those of the stages
-    sources: list[Source] = []
-    warnings: list[str] = []
-    if config is not None:
-        sources, warnings = _sources(config, document, base, later, planar=planar)
+    section = config.input if config is not None else _usable_input(document)
+    sources, warnings = _sources(section, document, base, later, planar=planar, complete=config is not None)
     kinds = dict(sources[0].kinds) if sources else {}
     mixed = sorted({s.kind for s in sources})
     if len(mixed) > 1:
@@ -188,6 +186,8 @@ def load_project(path: Path, overrides: Sequence[str] = (), registry: Registry |
         if step is not None:
             prepared.append(step)
             available |= {port.slot for port in step.stage.outputs}
+    if sources:
+        problems += [text for step in prepared for text in _unknown_shapes(step, sources, entries, document)]
     problems += later
     if kinds and not problems:
         prepared = _enter(prepared, kinds)
@@ -205,9 +205,43 @@ def load_project(path: Path, overrides: Sequence[str] = (), registry: Registry |
         steps=tuple(prepared),
         plan=plan,
         sources={source.id: source for source in sources},
-        warnings=(*warnings, *_idle_roles(config, plan, document, registry)),
+        warnings=(
+            *warnings,
+            *_too_few(config, plan, document, len(sources)),
+            *_idle_roles(config, plan, document, registry),
+        ),
         registry=registry,
     )
+
+
+def _too_few(config: RunConfig, plan: Plan, document: Document, n: int) -> list[str]:
+    """Return a warning when the group stages will not be run for want of scans."""
+    blocked = [step.id for step in plan.steps if step.scope == "cohort"]
+    if n >= config.min_shapes or not blocked:
+        return []
+    return [
+        f"{document.where(('input', 'scans'))}: input.scans: {count(n, 'scan')}, but group stages need at least "
+        f"{config.min_shapes} (min_shapes); {', '.join(blocked)} will not be run; add scans"
+        + (", or lower min_shapes" if n >= 2 else "")
+    ]
+
+
+def _unknown_shapes(step: Step, sources: Sequence[Source], entries: Sequence[_Entry], document: Document) -> list[str]:
+    """Return a problem for every option of a step that names a shape which does not exist."""
+    ids = {source.id for source in sources}
+    loc = next(entry.loc for entry in entries if entry.id == step.id)
+    at = loc if loc != ("anatomy",) else ("stages", step.id)
+    found = []
+    for name, field in step.stage.config.model_fields.items():
+        value = step.options.get(name)
+        for mark in field.metadata:
+            if isinstance(mark, NamesShape) and name not in step.files and value not in ids | set(mark.words):
+                is_file = any(port.slot == name for port in step.stage.prepared)
+                found.append(
+                    f"{document.where((*at, name))}: {'.'.join(map(str, (*at, name)))}: there is no shape"
+                    f"{' or file' if is_file else ''} '{value}'{did_you_mean(str(value), ids | set(mark.words))}"
+                )
+    return found
 
 
 def _idle_roles(config: RunConfig, plan: Plan, document: Document, registry: Registry) -> list[str]:
@@ -515,66 +549,94 @@ def _enter(steps: list[Step], kinds: Mapping[str, str]) -> list[Step]:
 # --- the inputs ----------------------------------------------------------------------------------------------------
 
 
+def _usable_input(document: Document) -> InputConfig:
+    """Return what can be read of a section `input` with problems, so that missing files are named together with them."""
+    data = document.data.get("input")
+    usable = {}
+    for key, value in data.items() if isinstance(data, dict) else ():
+        try:
+            InputConfig.model_validate_json(json.dumps({key: value}))
+        except ValidationError:
+            continue
+        usable[key] = value
+    return InputConfig.model_validate_json(json.dumps(usable))
+
+
 def _sources(
-    config: RunConfig, document: Document, base: Path, problems: list[str], *, planar: bool = False
+    section: InputConfig, document: Document, base: Path, problems: list[str], *, planar: bool, complete: bool
 ) -> tuple[list[Source], list[str]]:
+    """Find the scans and read the tables; problems of all of them are noted, not only the first one's."""
     from ssmpipe.io.landmarks import read_landmarks
     from ssmpipe.io.meshes import MESH_SUFFIXES
     from ssmpipe.io.tables import read_cohort
 
     in_folders = (*(OUTLINE_SUFFIXES if planar else MESH_SUFFIXES), SPLINE_SUFFIX)
     known = (*MESH_SUFFIXES, *OUTLINE_SUFFIXES, SPLINE_SUFFIX)
-    section = config.input
-    cohort: Any = None
-    landmarks: Any = None
-    at: tuple[str, ...] = ("input",)
-    try:
-        if section.cohort is not None:
-            at = ("input", "cohort")
-            cohort = read_cohort(base / section.cohort)
-        if section.landmarks is not None:
-            at = ("input", "landmarks")
-            landmarks = read_landmarks(base / section.landmarks)
-    except SsmpipeError as error:
-        problems.append(f"{document.where(at)}: {'.'.join(at)}: {error}")
-        return [], []
-    if section.roles and section.landmarks is None:
-        problems.append(
-            f"{document.where(('input', 'roles'))}: input.roles: names landmarks, but input.landmarks is not set"
-        )
-    at = ("input", "scans")
+    found = len(problems)
+
+    def note(error: SsmpipeError | str, *at: str) -> None:
+        loc = ("input", *at)
+        problems.append(f"{document.where(loc)}: {'.'.join(loc)}: {error}")
+
+    tables: dict[str, Any] = {"cohort": None, "landmarks": None}
+    for key, read in (("cohort", read_cohort), ("landmarks", read_landmarks)):
+        try:
+            if getattr(section, key) is not None:
+                tables[key] = read(base / getattr(section, key))
+        except SsmpipeError as error:
+            note(error, key)
+    if section.roles and section.landmarks is None and complete:
+        note("names landmarks, but input.landmarks is not set", "roles")
+    given = section.scans if isinstance(section.scans, list) else [section.scans] if section.scans is not None else []
+    no_scans = {(base / p).resolve() for p in (section.cohort, section.landmarks) if p}
+    paths: dict[Path, None] = {}
+    for pattern in given:
+        try:
+            paths |= dict.fromkeys(p for p in scan_files([base / pattern], in_folders) if p.resolve() not in no_scans)
+        except ConfigError as error:
+            note(error, "scans")
     try:
         if section.scans is not None:
-            patterns = [section.scans] if isinstance(section.scans, str) else section.scans
-            tables = {(base / p).resolve() for p in (section.cohort, section.landmarks) if p}
-            files = by_id(
-                [p for p in scan_files([base / p for p in patterns], in_folders) if p.resolve() not in tables]
-            )
+            files = by_id(list(paths))
+        elif tables["cohort"] and section.cohort:
+            files = _cohort_files(tables["cohort"], base / section.cohort)
         else:
-            files = _cohort_files(cohort, base / section.cohort) if cohort and section.cohort else {}
-        if not files:
+            files = {}
+        if not files and complete and len(problems) == found:
             raise ConfigError("no scans given", "set input.scans, or give the cohort table a column 'path'")
         strange = sorted(p.name for p in files.values() if p.suffix.lower() not in known)
         if strange:
             raise ConfigError(f"{strange[0]} is not a surface file", f"supported are {' '.join(known)}")
-        preset = PRESETS.get(config.anatomy or "")
-        return find_sources(
+    except ConfigError as error:
+        note(error, "scans")
+    if len(problems) > found or not files:
+        return [], []
+    anatomy = document.data.get("anatomy")
+    preset = PRESETS.get(anatomy) if isinstance(anatomy, str) else None
+    try:
+        sources, warnings = find_sources(
             files,
-            cohort=cohort,
-            landmarks=landmarks,
+            cohort=tables["cohort"],
+            landmarks=tables["landmarks"],
             units=section.units,
             roles=dict(section.roles),
             diagonal_mm=preset.diagonal_mm if preset else None,
-            anatomy=config.anatomy or "",
+            anatomy=anatomy or "",
             tolerance_mm=section.landmark_tolerance,
         )
-    except (ConfigError, ArtifactError) as error:
-        problems.append(f"{document.where(at)}: {'.'.join(at)}: {error}")
+    except ConfigError as error:
+        note(error, "scans")
         return [], []
+    names = {name for source in sources for name in source.landmarks or {}}
+    for role, name in section.roles.items():
+        if tables["landmarks"] is not None and name not in names:
+            note(f"no shape has a landmark '{name}'{did_you_mean(name, names)}", "roles", role)
+    return sources, warnings
 
 
 def _cohort_files(cohort: Mapping[str, Mapping[str, str]], path: Path) -> dict[str, Path]:
-    files = {}
+    files: dict[str, Path] = {}
+    missing = []
     for shape_id, row in cohort.items():
         if not row.get("path"):
             continue
@@ -582,5 +644,9 @@ def _cohort_files(cohort: Mapping[str, Mapping[str, str]], path: Path) -> dict[s
             raise ConfigError(f"'{shape_id}' cannot serve as shape id", "use up to 64 letters, digits, '.', '_' or '-'")
         files[shape_id] = path.parent / row["path"]
         if not files[shape_id].is_file():
-            raise ConfigError(f"cohort table, shape '{shape_id}': the scan {files[shape_id]} does not exist")
+            missing.append(f"{files[shape_id]} (shape '{shape_id}')")
+    if missing:
+        raise ConfigError(
+            f"cohort table: {count(len(missing), 'scan')} missing: {', '.join(missing)}", "check the column path"
+        )
     return files

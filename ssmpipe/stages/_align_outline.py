@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from ssmpipe.contract import Context, Landmarks, Port, Stage, StageConfig
+from ssmpipe.contract import Context, Landmarks, NamesShape, Port, Stage, StageConfig
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.errors import ConfigError, GeometryError
 from ssmpipe.core.outline.align import align_outline, medoid_outline, move_outline
@@ -18,6 +18,7 @@ class Config(StageConfig):
 
     reference: Annotated[
         str,
+        NamesShape(("medoid",)),
         Field(
             description="Outline to align to: `medoid` (the most central one), a shape id, or a file in the aligned frame."
         ),

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from ssmpipe.contract import Context, Landmarks, Port, Stage, StageConfig
+from ssmpipe.contract import Context, Landmarks, NamesShape, Port, Stage, StageConfig
 from ssmpipe.core.align.icp import align, fits_better_mirrored
 from ssmpipe.core.align.medoid import medoid
 from ssmpipe.core.align.rigid import move, rotation_angle
@@ -22,6 +22,7 @@ class Config(StageConfig):
 
     reference: Annotated[
         str,
+        NamesShape(("medoid",)),
         Field(
             description="Shape to align to: `medoid` (the most central one), a shape id, or a mesh file in the aligned frame."
         ),

@@ -6,9 +6,9 @@ import time
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 
-from ssmpipe.contract import Context, Landmarks, Port, Stage, StageConfig, Table
+from ssmpipe.contract import Context, Landmarks, NamesShape, Port, Stage, StageConfig, Table
 from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.correspondence.correspondence import Correspondence
 from ssmpipe.core.correspondence.optimize import EngineOptions, Optimum, optimize_correspondence
@@ -24,14 +24,18 @@ _DEFAULT = EngineOptions()
 class Config(StageConfig):
     """Options of ``optimize``."""
 
+    degree: Annotated[int, Field(ge=2, le=5, description="Degree of the reparameterization.")] = _DEFAULT.degree
     n_coefficients: Annotated[
         tuple[int, ...],
         Field(description="B-spline coefficients of every reparameterization, per direction (one number for curves)."),
     ] = _DEFAULT.n_coefficients
     landmarks: Annotated[
-        tuple[int, ...], Field(description="Landmark grid of the covariance, per direction (one number for curves).")
+        tuple[int, ...],
+        Field(
+            validate_default=True,
+            description="Landmark grid of the covariance, per direction (one number for curves).",
+        ),
     ] = _DEFAULT.landmarks
-    degree: Annotated[int, Field(ge=2, le=5, description="Degree of the reparameterization.")] = _DEFAULT.degree
     boundary: Annotated[
         Literal["auto", "fixed", "sliding", "periodic"],
         Field(
@@ -95,7 +99,9 @@ class Config(StageConfig):
         _DEFAULT.sharpness
     )
     reference: Annotated[
-        str, Field(description="Shape that is not reparameterized: nearest-to-mean, none, or a shape id.")
+        str,
+        NamesShape(("nearest-to-mean", "none")),
+        Field(description="Shape that is not reparameterized: nearest-to-mean, none, or a shape id."),
     ] = "nearest-to-mean"
     coarse_to_fine: Annotated[bool, Field(description="Solve coarser nested spaces first, by knot insertion.")] = (
         _DEFAULT.coarse_to_fine
@@ -120,6 +126,32 @@ class Config(StageConfig):
         float,
         Field(gt=0, description="A round ends when the objective falls by less than this share twice in a row [-]."),
     ] = _DEFAULT.relative_decrease
+
+    @field_validator("n_coefficients")
+    @classmethod
+    def _enough_coefficients(cls, counts: tuple[int, ...], info: ValidationInfo) -> tuple[int, ...]:
+        least = info.data.get("degree", _DEFAULT.degree) + 2
+        if len(counts) not in (1, 2) or min(counts) < least:
+            raise ValueError(
+                f"optimize.n_coefficients needs one number (curves) or two (surfaces), each at least degree + 2 = {least}; "
+                "raise it, or lower optimize.degree"
+            )
+        return counts
+
+    @field_validator("landmarks")
+    @classmethod
+    def _enough_landmarks(cls, counts: tuple[int, ...], info: ValidationInfo) -> tuple[int, ...]:
+        if len(counts) not in (1, 2) or min(counts) < 3:
+            raise ValueError(
+                "optimize.landmarks needs one number (curves) or two (surfaces), each at least 3; raise it"
+            )
+        directions = len(info.data.get("n_coefficients", counts))
+        if len(counts) != directions:
+            raise ValueError(
+                f"optimize.landmarks has {len(counts)} numbers and optimize.n_coefficients has {directions}; "
+                "give both one (curves) or both two (surfaces)"
+            )
+        return counts
 
 
 def run(

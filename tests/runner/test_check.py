@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.io.meshes import write_mesh

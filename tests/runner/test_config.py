@@ -278,3 +278,99 @@ def test_a_role_that_nothing_reads_is_named(tmp_path: Path, scans: Path, registr
     )
     (warning,) = (w for w in load_project(path, (), registry).warnings if "roles" in w)
     assert warning.endswith("c.yaml:5: input.roles.corner1: no stage of this chain reads it; did you mean 'corner_1'?")
+
+
+# --- names of shapes and landmarks, sizes ---
+
+
+def test_a_reference_that_is_no_shape(problems: Callable[..., list[str]]) -> None:
+    text = GOOD.replace("  - total", "  - shift:\n      reference: largst\n  - total")
+    (found,) = problems(text)
+    assert found == ("c.yaml:8: stages.1.shift.reference: there is no shape or file 'largst'; did you mean 'largest'?")
+    assert problems(text.replace("largst", "b")) == []
+    (found,) = problems(text, "stages.shift.reference=e")
+    assert found.endswith("there is no shape or file 'e'; known: a, b, c, d, largest")
+
+
+def test_references_of_the_real_stages(problems: Callable[..., list[str]]) -> None:
+    head = "name: t\ninput: {scans: scans}\noutput: out\nanatomy: disk\nstages:\n"
+    found = problems(head + "  - align: {reference: medoit}\n  - optimize:\n      reference: nearest-to-men\n")
+    assert found == [
+        "c.yaml:6: stages.0.align.reference: there is no shape or file 'medoit'; did you mean 'medoid'?",
+        "c.yaml:8: stages.1.optimize.reference: there is no shape 'nearest-to-men'; did you mean 'nearest-to-mean'?",
+    ]
+    assert problems(head + "  - align: {reference: a}\n  - optimize: {reference: none}\n") == []
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (
+            "n_coefficients: [3, 8]",
+            "optimize.n_coefficients needs one number (curves) or two (surfaces), each at least ",
+        ),
+        (
+            "n_coefficients: [6, 6], degree: 5",
+            "each at least degree + 2 = 7; raise it, or lower optimize.degree (got [6, 6])",
+        ),
+        ("n_coefficients: []", "optimize.n_coefficients needs one number"),
+        ("landmarks: [51, 2]", "optimize.landmarks needs one number (curves) or two (surfaces), each at least 3"),
+        ("landmarks: [9, 9, 9]", "optimize.landmarks needs one number"),
+        ("n_coefficients: [12]", "optimize.landmarks has 2 numbers and optimize.n_coefficients has 1; give both one"),
+    ],
+)
+def test_counts_that_are_too_small(problems: Callable[..., list[str]], options: str, text: str) -> None:
+    (found,) = problems(
+        f"name: t\ninput: {{scans: scans}}\noutput: out\nanatomy: disk\nstages:\n  - optimize: {{{options}}}\n"
+    )
+    assert found.startswith("c.yaml:6: stages.0.optimize")
+    assert text in found
+
+
+def test_fewer_scans_than_the_group_needs(tmp_path: Path, scans: Path, registry: Registry) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text(GOOD.replace("scans: scans", "scans: [scans/a.ply, scans/b.ply]"))
+    (warning,) = load_project(path, (), registry).warnings
+    assert warning.endswith(
+        "c.yaml:3: input.scans: 2 scans, but group stages need at least 3 (min_shapes); total will not be run; "
+        "add scans, or lower min_shapes"
+    )
+    assert load_project(path, ["min_shapes=2"], registry).warnings == ()
+
+
+def test_a_role_for_a_landmark_that_no_shape_has(tmp_path: Path, problems: Callable[..., list[str]]) -> None:
+    (tmp_path / "marks.json").write_text('{"a": {"tip": [0, 0, 0]}, "z": {"top": [0, 0, 0]}}')
+    roles = "\n  landmarks: marks.json\n  roles:\n    trim: tipp\n"
+    (found,) = problems(GOOD.replace("\noutput", f"{roles}output"))
+    assert found == "c.yaml:6: input.roles.trim: no shape has a landmark 'tipp'; did you mean 'tip'?"
+
+
+def test_all_missing_files_at_once_also_with_bad_keys(tmp_path: Path, problems: Callable[..., list[str]]) -> None:
+    text = """\
+nam: toys
+input:
+  scans: [scans, none.ply, no/*.stl]
+  cohort: cohort.csv
+  landmarks: marks.json
+  unit: mm
+output: out
+stages: [grow]
+"""
+    found = problems(text)
+    starts = (
+        "c.yaml:1: nam:",
+        "c.yaml:6: input.unit: unknown key; did you mean 'units'?",
+        "c.yaml:4: input.cohort: cohort.csv",
+    )
+    for start in (
+        *starts,
+        "c.yaml:5: input.landmarks: ",
+        "c.yaml:3: input.scans: the scan none.ply",
+        "c.yaml:3: input.scans: no scans",
+    ):
+        assert any(p.startswith(start) for p in found), (start, found)
+    (tmp_path / "cohort.csv").write_text("id,path\none,x.ply\ntwo,y.ply\n")
+    (found_,) = problems(GOOD.replace("scans: scans", "cohort: cohort.csv"))
+    assert "cohort table: 2 scans missing: " in found_
+    assert "x.ply (shape 'one')" in found_
+    assert "y.ply (shape 'two')" in found_

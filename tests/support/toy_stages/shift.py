@@ -7,14 +7,16 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from ssmpipe.contract import Context, Landmarks, Port, Stage, StageConfig
+from ssmpipe.contract import Context, Landmarks, NamesShape, Port, Stage, StageConfig
 from ssmpipe.core.mesh.trimesh import TriMesh
 
 
 class Config(StageConfig):
     """Options of ``shift``."""
 
-    reference: Annotated[str, Field(description="Shape to move to: largest, an id, or a file.")] = "largest"
+    reference: Annotated[
+        str, NamesShape(("largest",)), Field(description="Shape to move to: largest, an id, or a file.")
+    ] = "largest"
     noise: Annotated[float, Field(ge=0, description="Noise [mm].")] = 0.0
     need: Annotated[str, Field(description="Role that must have a landmark.")] = ""
 
