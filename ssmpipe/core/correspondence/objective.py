@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 import scipy.linalg
 
+from ssmpipe.core.align.differentiable import align_to, align_to_adjoint
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.correspondence.barrier import Barrier
 from ssmpipe.core.correspondence.covariance import Spectrum, spectral_adjoint, spectrum
@@ -18,6 +19,7 @@ from ssmpipe.core.correspondence.prior import bending_matrix
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
 from ssmpipe.core.correspondence.spectral import SpectralFunction
 from ssmpipe.core.covariance.formulation_two import size_weights, size_weights_adjoint
+from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.spline.evaluate import Jet, SplineStack
 
 Covariance = Literal["discrete", "I", "II"]
@@ -28,6 +30,8 @@ class Evaluation:
     """What one evaluation of the cohort knows: kept for the gradient, the preconditioner and the records."""
 
     jet: Jet
+    points: Floats
+    rotations: Floats
     slopes: tuple[Floats, ...]
     weights: Floats
     mean_tangents: tuple[Floats, ...]
@@ -62,6 +66,14 @@ class GroupObjective:
         Shape whose ``D`` stays the identity; with -1 all shapes move and the mean of all displacements stays zero.
     other_gradient : callable, optional
         ``(objective, x) -> gradient`` of the spectral part in place of the adjoint, for comparison.
+    target : (n_P, d) float64, optional
+        When given, every shape's landmarks are moved rigidly to this target inside each evaluation, and the gradient
+        contains the derivative of these motions.
+
+    Raises
+    ------
+    GeometryError
+        For a target with formulation II, which is not implemented.
 
     Notes
     -----
@@ -84,6 +96,7 @@ class GroupObjective:
         guides: Guides | None = None,
         reference: int = -1,
         other_gradient: Callable[[GroupObjective, Floats], Floats] | None = None,
+        target: Floats | None = None,
     ) -> None:
         self.stack = stack
         self.reparameterization = reparameterization
@@ -95,6 +108,11 @@ class GroupObjective:
         self.guides = guides
         self.reference = reference
         self.other_gradient = other_gradient
+        self.target = target
+        if target is not None and covariance == "II":
+            raise GeometryError(
+                "aligning inside each evaluation is implemented for covariance discrete and I", "use pose: refined"
+            )
         self.moving = np.array([i for i in range(stack.n_shapes) if i != reference])
         self.jacobian = Jacobian(reparameterization, form)
         n_p = int(np.prod(reparameterization.grid))
@@ -156,8 +174,12 @@ class GroupObjective:
                 for slope in slopes
             )
             weights = size_weights(self._base, tangents)
-        spec = spectrum(jet.points - jet.points.mean(axis=0), weights)
-        evaluation = Evaluation(jet, slopes, weights, tangents, spec)
+        points, rotations = jet.points, np.empty(0)
+        if self.target is not None:
+            aligned = [align_to(p, self.target, weights) for p in jet.points]
+            points, rotations = np.stack([a[0] for a in aligned]), np.stack([a[1] for a in aligned])
+        spec = spectrum(points - points.mean(axis=0), weights)
+        evaluation = Evaluation(jet, points, rotations, slopes, weights, tangents, spec)
         self._last = (key, evaluation)
         return evaluation
 
@@ -173,8 +195,11 @@ class GroupObjective:
         """Return the spectral function and its gradient in the unknowns, by the adjoint [2.20]."""
         evaluation = self.evaluate(x)
         jet = evaluation.jet
-        centred = jet.points - jet.points.mean(axis=0)
+        centred = evaluation.points - evaluation.points.mean(axis=0)
         d_points, d_weights, _ = spectral_adjoint(centred, evaluation.weights, evaluation.spectrum, self.spectral.slope)
+        if self.target is not None:
+            per_shape = zip(jet.points, evaluation.rotations, d_points, strict=True)
+            d_points = np.stack([align_to_adjoint(p, self.target, evaluation.weights, r, d) for p, r, d in per_shape])
         d_parameters = np.stack([np.einsum("ild,ild->il", d_points, s) for s in jet.first], axis=-1)
         d_slopes: tuple[Floats, ...] = ()
         if self.covariance == "II":

@@ -33,6 +33,7 @@ from ssmpipe.core.spline.surface import BSplineSurface
 
 Normalization = Literal["none", "size", "affine"]
 Sensitivity = Literal["adjoint", "direct", "finite-difference"]
+_REFINED = ("refined", "each-evaluation")
 _SLOW = {"direct": direct_gradient, "finite-difference": finite_difference_gradient}
 
 
@@ -56,9 +57,11 @@ class EngineOptions:
     objective : {"description-length", "log-determinant", "trace"}
     lambda_cut : float or None
         Threshold of the description length [mm^2]; None for the rule of :func:`automatic_lambda_cut`.
-    pose : {"refined", "procrustes", "keep"}
+    pose : {"refined", "procrustes", "keep", "each-evaluation"}
         ``keep``: as given. ``procrustes``: refined once before the optimization, from the initial correspondence.
         ``refined``: as given first, then refined from the optimized correspondence, ``pose_rounds`` times.
+        ``each-evaluation``: the same, and inside every evaluation the landmarks of every shape are moved rigidly to the
+        round's mean shape, with the exact derivative of that motion.
     pose_rounds : int
         At most so many; they end when the landmarks move by less than a thousandth of the size (root mean square).
     normalize : {"none", "size", "affine"}
@@ -101,7 +104,7 @@ class EngineOptions:
     quadrature: Quadrature = "midpoint"
     objective: Objective = "description-length"
     lambda_cut: float | None = None
-    pose: Literal["refined", "procrustes", "keep"] = "refined"
+    pose: Literal["refined", "procrustes", "keep", "each-evaluation"] = "refined"
     pose_rounds: int = 6
     normalize: Normalization = "affine"
     prior: float = 0.01
@@ -224,7 +227,7 @@ def optimize_correspondence(
     for n, n_next in pairwise([*levels, opts.n_coefficients]):
         coefficients = cohort.descend(coefficients, cohort.space(n), opts.barriers[:1], recorder)[0]
         coefficients = _refined(coefficients, cohort.space(n), cohort.space(n_next))
-    pose_rounds = opts.pose_rounds if opts.pose == "refined" or opts.normalize == "affine" else 0
+    pose_rounds = opts.pose_rounds if opts.pose in _REFINED or opts.normalize == "affine" else 0
     barriers = opts.barriers
     for pose_round in range(1 + pose_rounds):
         coefficients, status = cohort.descend(coefficients, reparameterization, barriers, recorder)
@@ -293,8 +296,11 @@ class _Cohort:
     def _quadrature(self) -> Quadrature:
         return "grid" if self.opts.covariance == "discrete" else self.opts.quadrature
 
-    def objective(self, space: Reparameterization) -> GroupObjective:
-        """Return the objective in the current pose."""
+    def objective(self, space: Reparameterization, coefficients: Floats | None = None) -> GroupObjective:
+        """Return the objective in the current pose; ``coefficients`` tell the mean shape of ``each-evaluation``."""
+        target = None
+        if self.opts.pose == "each-evaluation" and coefficients is not None:
+            target = self._normalized(self.raw.evaluate(space.evaluate(coefficients)).points).mean(axis=0)
         return GroupObjective(
             SplineStack([self._normalized_spline(i) for i in range(len(self.splines))], space.periodic),
             space,
@@ -307,13 +313,14 @@ class _Cohort:
             guides=self._guides_in(space),
             reference=self.reference,
             other_gradient=_SLOW.get(self.opts.sensitivity),
+            target=target,
         )
 
     def descend(
         self, coefficients: Floats, space: Reparameterization, barriers: tuple[float, ...], recorder: _Recorder
     ) -> tuple[Floats, Status]:
         """Minimize at each barrier weight in turn."""
-        objective = self.objective(space)
+        objective = self.objective(space, coefficients)
         x = objective.unknowns(coefficients)
         recorder.start(objective, x)
         status: Status = "converged"
@@ -362,7 +369,7 @@ class _Cohort:
         current = self.raw.evaluate(space.at(self.opts.landmarks).evaluate(coefficients)).points
         before = self._normalized(current)
         saved = self.alignment, self.normal
-        self.alignment = self._align(current, keep_pose=self.opts.pose != "refined")
+        self.alignment = self._align(current, keep_pose=self.opts.pose not in _REFINED)
         self.normal = _sizes(self.alignment)
         if self.opts.normalize == "affine":
             sized = self._normalized(current)

@@ -19,8 +19,10 @@ def direct_gradient(objective: GroupObjective, x: Floats) -> Floats:
     GeometryError
         For formulation II, whose weights move.
     """
-    if objective.covariance == "II":
-        raise GeometryError("direct sensitivities are for covariance discrete and I", "sensitivity: adjoint")
+    if objective.covariance == "II" or objective.target is not None:
+        raise GeometryError(
+            "direct sensitivities are for covariance discrete and I and fixed poses", "sensitivity: adjoint"
+        )
     evaluation = objective.evaluate(x)
     jet, spec, weights = evaluation.jet, evaluation.spectrum, evaluation.weights
     n_shapes = len(jet.points)

@@ -71,6 +71,15 @@ def test_gradient_of_every_constraint_is_exact(form, aggregate):
     assert check_gradient(f) > 1.8
 
 
+@pytest.mark.parametrize("covariance", ["discrete", "I"])
+@pytest.mark.parametrize("curves", [False, True])
+def test_gradient_through_the_alignment_is_exact(covariance, curves):
+    f = objective(covariance, curves=curves, barrier=0)
+    f.target = f.evaluate(f.start()).jet.points[0] * 1.1
+    f._last = None
+    assert check_gradient(f) > 1.8
+
+
 def test_a_gradient_wrong_by_a_thousandth_is_seen():
     f = objective()
     rng = np.random.default_rng(0)

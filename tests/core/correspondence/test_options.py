@@ -46,6 +46,7 @@ def closed_curve(shift: float, phase: float, n: int = 40) -> BSplineCurve:
         {"coarse_to_fine": True, "n_coefficients": (10, 10)},
         {"pose": "procrustes", "normalize": "size"},
         {"degree": 3},
+        {"pose": "each-evaluation"},
         {"sensitivity": "direct"},
     ],
     ids=str,
