@@ -61,6 +61,16 @@ class Barrier:
         margin = -self.constraint(jacobians)
         return np.asarray(-softmax(-self.sharpness * slack, axis=1) / margin[:, None])
 
+    def slope_along(self, jacobians: Floats, change: Floats) -> Floats:
+        """Return the derivative of :meth:`slope` along ``change``, (n_S, n); exact."""
+        slack = jacobians - self.floor
+        if self.aggregate == "each":
+            return np.asarray(change / (slack.shape[1] * slack**2))
+        share = softmax(-self.sharpness * slack, axis=1)
+        margin = -self.constraint(jacobians)[:, None]
+        mean = (share * change).sum(axis=1, keepdims=True)
+        return np.asarray(share * (self.sharpness * (change - mean) / margin + mean / margin**2))
+
     def curvature(self, jacobians: Floats) -> Floats:
         """Return a positive diagonal of the second derivative, (n_S, n), for Gauss-Newton blocks."""
         slack = jacobians - self.floor

@@ -57,6 +57,11 @@ class Guides:
         gradient = self._rows.T @ force
         return 0.5 * float((force * residual).sum()), gradient.reshape(coefficients.shape)
 
+    def curvature_along(self, direction: Floats) -> Floats:
+        """Return the exact second derivative times (n_S, *n_b, d_par)."""
+        moved = self._rows @ direction.reshape(len(direction), -1, self.common.shape[1])
+        return np.asarray(self._rows.T @ np.einsum("ikab,ikb->ika", self._metric, moved)).reshape(direction.shape)
+
     def hessian(self, i: int) -> Floats:
         """Return the exact second derivative for shape ``i``, (n, n), components fastest."""
         blocks = np.einsum("km,kab,kn->manb", self._rows, self._metric[i], self._rows, optimize=True)

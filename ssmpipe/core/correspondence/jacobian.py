@@ -8,12 +8,13 @@ first two bound ``J`` from below over the whole domain; sampling does not.
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from scipy.special import comb
 
-from ssmpipe.core.arrays import Floats
+from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.correspondence.direction import Direction, apply_directions
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
 from ssmpipe.core.errors import GeometryError
@@ -182,6 +183,58 @@ class Jacobian:
         x = term(su, vv, dv[0, 1]) - term(vu, sv, du[0, 1])
         y = term(vu, sv, du[0, 0]) - term(su, vv, dv[0, 0])
         return np.stack([x, y], axis=-1).reshape(self.n, -1)
+
+    def normal_blocks(self, coefficients: Floats, curvature: Floats) -> Floats:
+        """Return ``sum_z curvature_z dJ_z/db dJ_z/db^T`` for every shape, (n_S, m, m), components fastest.
+
+        Parameters
+        ----------
+        coefficients : (n_S, *n_b, d_par)
+        curvature : (n_S, n)
+        """
+        if self.n_directions == 1 or self.form != "bezier":
+            all_rows = [self.rows(c) for c in coefficients]
+            return np.stack([r.T @ (k[:, None] * r) for r, k in zip(all_rows, curvature, strict=True)])
+        # a Bernstein coefficient depends on the (p + 1)^2 control points of its own span only
+        (n0, n1), m = self.n_spans, self.degree + 1
+        nodes, extraction, place = self._local
+        du, dv = self._gradients(coefficients - self._identity, with_identity=True)
+
+        def cells(field: Floats) -> Floats:
+            return field.reshape(-1, n0, m, n1, m).transpose(0, 1, 3, 2, 4)
+
+        x = nodes[0] * cells(dv[:, 1])[..., None] - nodes[1] * cells(du[:, 1])[..., None]
+        y = nodes[1] * cells(du[:, 0])[..., None] - nodes[0] * cells(dv[:, 0])[..., None]
+        rows = extraction @ np.stack([x, y], axis=-1).reshape(len(x), n0 * n1, m * m, -1)
+        weight = cells(curvature).reshape(len(x), n0 * n1, m * m, 1)
+        local = np.swapaxes(rows, 2, 3) @ (rows * weight)
+        n = self._identity.size
+        out = np.zeros((len(x), n, n))
+        for cell, index in enumerate(place):
+            out[:, index[:, None], index[None]] += local[:, cell]
+        return out
+
+    @cached_property
+    def _local(self) -> tuple[tuple[Floats, Floats], Floats, Ints]:
+        """Return, per span, the node derivatives that are not zero, the extraction, and the unknowns they belong to."""
+        m = self.degree + 1
+        p = (self.degree + 1) // 2
+        local, columns = [], []
+        for axis in range(2):
+            n = self.n_spans[axis]
+            column = (np.arange(n)[:, None] + np.arange(p + 1)) % self._identity.shape[axis]
+            pair = [self._mixed[a][axis].reshape(n, m, -1) for a in (0, 1)]
+            local.append([np.take_along_axis(b, column[:, None, :], axis=2) for b in pair])
+            columns.append(column)
+        n0, n1 = self.n_spans
+        both = [
+            np.asarray(np.einsum("xka,ylb->xyklab", u, v), np.float64).reshape(n0, n1, m, m, (p + 1) ** 2)
+            for u, v in zip(local[0], local[1], strict=True)
+        ]
+        extraction = np.kron(self._extract[0][:m, :m], self._extract[1][:m, :m])
+        cell = columns[0][:, None, :, None] * self._identity.shape[1] + columns[1][None, :, None, :]
+        place = (cell.reshape(n0 * n1, -1, 1) * 2 + np.arange(2)).reshape(n0 * n1, -1)
+        return (both[0], both[1]), np.asarray(extraction, np.float64), place.astype(np.int64)
 
 
 def largest_feasible_step(current: Floats, first: Floats, second: Floats) -> float:

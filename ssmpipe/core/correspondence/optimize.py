@@ -32,6 +32,7 @@ from ssmpipe.core.spline.project import nearest_parameters
 from ssmpipe.core.spline.surface import BSplineSurface
 
 Normalization = Literal["none", "size", "affine"]
+Solver = Literal["newton", "quasi-newton"]
 Sensitivity = Literal["adjoint", "direct", "finite-difference"]
 _REFINED = ("refined", "each-evaluation")
 _SLOW = {"direct": direct_gradient, "finite-difference": finite_difference_gradient}
@@ -90,6 +91,8 @@ class EngineOptions:
         [mm].
     sensitivity : {"adjoint", "direct", "finite-difference"}
         How the gradient of the spectral function is computed; the last two are slow and for comparison.
+    solver : {"newton", "quasi-newton"}
+        ``newton``: truncated, with exact second derivatives; needs the adjoint.
     max_iterations : int
         Per round.
     relative_decrease : float
@@ -119,6 +122,7 @@ class EngineOptions:
     guide_mode: Literal["penalty", "interpolate"] = "penalty"
     guide_tolerance: float = 0.01
     sensitivity: Sensitivity = "adjoint"
+    solver: Solver = "quasi-newton"
     max_iterations: int = 300
     relative_decrease: float = 1e-5
 
@@ -329,7 +333,11 @@ class _Cohort:
             result = minimize_interior(
                 objective,
                 x,
-                DescentOptions(max_iterations=self.opts.max_iterations, relative_decrease=self.opts.relative_decrease),
+                DescentOptions(
+                    max_iterations=self.opts.max_iterations,
+                    relative_decrease=self.opts.relative_decrease,
+                    method=self.opts.solver if self.opts.sensitivity == "adjoint" else "quasi-newton",
+                ),
                 callback=partial(recorder.note_iteration, objective),
             )
             x, status = result.value, result.status

@@ -140,27 +140,43 @@ class Reparameterization:
         field = np.moveaxis(gradient.reshape(len(gradient), *self.grid, self.n_directions), -1, 1)
         return apply_directions(tuple(m.T for m in matrices), field)
 
+    def displacements(self, direction: Floats) -> Floats:
+        """Return the derivative of :meth:`evaluate` along (n_S, *n_coefficients, d_par): (n_S, d_par, n_P), without clipping."""
+        values = apply_directions(self._basis, np.moveaxis(direction, -1, 1))
+        return np.asarray(values.reshape(len(direction), self.n_directions, -1))
+
+    def displacements_transposed(self, gradient: Floats) -> Floats:
+        """Return the transpose of :meth:`displacements`: (n_S, d_par, n_P) to (n_S, *n_coefficients, d_par)."""
+        field = gradient.reshape(len(gradient), self.n_directions, *self.grid)
+        return np.moveaxis(apply_directions(tuple(b.T for b in self._basis), field), 1, -1)
+
     def normal_blocks(self, metric: Floats) -> Floats:
-        """Return ``Basis^T M Basis`` for one shape: the Gauss-Newton block in all coefficients.
+        """Return ``Basis^T M Basis`` of many shapes: the Gauss-Newton blocks in all coefficients.
 
         Parameters
         ----------
-        metric : (n_P, d_par, d_par) float64
+        metric : (..., n_P, d_par, d_par) float64
             A symmetric matrix at every landmark.
 
         Returns
         -------
-        (n, n) float64
+        (..., n, n) float64
             ``n = prod(n_coefficients) * d_par``, components fastest.
         """
         n_d = self.n_directions
-        field = metric.reshape(*self.grid, n_d, n_d)
+        lead = metric.shape[:-3]
         if n_d == 1:
-            return np.asarray(self._basis[0].T @ (field[:, 0, 0, None] * self._basis[0]))
-        inner = np.einsum("lb,klcd,lm->kbmcd", self._basis[1], field, self._basis[1], optimize=True)
-        blocks = np.einsum("ka,kbmcd,kn->abcnmd", self._basis[0], inner, self._basis[0], optimize=True)
-        size = blocks.shape[0] * blocks.shape[1] * n_d
-        return np.asarray(blocks.reshape(size, size))
+            return np.asarray(self._basis[0].T @ (metric.reshape(*lead, -1, 1) * self._basis[0]))
+        (n0, n1), (a0, a1) = self.grid, self.n_coefficients
+        pairs = [(b[:, :, None] * b[:, None, :]).reshape(len(b), -1) for b in self._basis]
+        field = metric.reshape(-1, n0, n1, 2, 2)
+        out = np.empty((len(field), a0, a1, 2, a0, a1, 2))
+        for c, e in ((0, 0), (0, 1), (1, 1)):
+            block = pairs[0].T @ (np.ascontiguousarray(field[..., c, e]) @ pairs[1])
+            out[:, :, :, c, :, :, e] = block.reshape(-1, a0, a0, a1, a1).transpose(0, 1, 3, 2, 4)
+        out[:, :, :, 1, :, :, 0] = out[:, :, :, 0, :, :, 1]
+        size = a0 * a1 * 2
+        return out.reshape(*lead, size, size)
 
     def rows_at(self, parameters: Floats) -> Floats:
         """Return the (n, prod(n_coefficients)) basis of one component of ``D`` at scattered (n, d_par) ``parameters``."""

@@ -24,10 +24,29 @@ class SpectralFunction:
         Eigenvalues (n,) to ``f``.
     slope : callable
         Eigenvalues (n,) to ``phi'`` (n,).
+    curvature : callable
+        Eigenvalues (n,) to ``phi''`` (n,).
     """
 
     value: Callable[[Floats], float]
     slope: Callable[[Floats], Floats]
+    curvature: Callable[[Floats], Floats]
+
+    def slope_differences(self, eigenvalues: Floats) -> Floats:
+        """Return the (n, n) divided differences of ``phi'``, ``phi''`` where eigenvalues coincide (Daleckii and Krein 1965).
+
+        Examples
+        --------
+        >>> spectral_function("log-determinant", 1.0).slope_differences(np.array([1.0, 0.0]))
+        array([[-0.25, -0.5 ],
+               [-0.5 , -1.  ]])
+        """
+        slope, curvature = self.slope(eigenvalues), self.curvature(eigenvalues)
+        gap = eigenvalues[:, None] - eigenvalues[None]
+        scale = np.maximum(np.abs(eigenvalues[:, None]), np.abs(eigenvalues[None]))
+        same = np.abs(gap) <= 1e-9 * scale
+        difference = (slope[:, None] - slope[None]) / np.where(same, 1.0, gap)
+        return np.where(same, 0.5 * (curvature[:, None] + curvature[None]), difference)
 
 
 def spectral_function(name: Objective, lambda_cut: float) -> SpectralFunction:
@@ -50,12 +69,16 @@ def spectral_function(name: Objective, lambda_cut: float) -> SpectralFunction:
         return SpectralFunction(
             lambda values: description_length(values, lambda_cut),
             lambda values: description_length_slope(values, lambda_cut),
+            lambda values: np.where(values > lambda_cut, -1.0 / np.maximum(values, lambda_cut) ** 2, 0.0),
         )
     if name == "log-determinant":
         return SpectralFunction(
             lambda values: float(np.log(np.maximum(values, 0.0) + lambda_cut).sum()),
             lambda values: np.asarray(1.0 / (np.maximum(values, 0.0) + lambda_cut)),
+            lambda values: np.asarray(-1.0 / (np.maximum(values, 0.0) + lambda_cut) ** 2),
         )
     return SpectralFunction(
-        lambda values: float(values.sum() / lambda_cut), lambda values: np.full(len(values), 1.0 / lambda_cut)
+        lambda values: float(values.sum() / lambda_cut),
+        lambda values: np.full(len(values), 1.0 / lambda_cut),
+        lambda values: np.zeros(len(values)),
     )

@@ -1,4 +1,4 @@
-"""Limited-memory quasi-Newton descent that never leaves an open feasible set.
+"""Descent that never leaves an open feasible set: truncated Newton, or limited-memory quasi-Newton.
 
 The problem tells how far a direction may be followed; the line search starts inside that bound, so that infeasible points
 are never evaluated and the quasi-Newton memory is never fed with the values of a wall.
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -30,6 +30,14 @@ class InteriorProblem(Protocol):
         """Return an approximation of the inverse Hessian at ``x``, symmetric positive definite."""
 
 
+@runtime_checkable
+class CurvedProblem(InteriorProblem, Protocol):
+    """A function whose second derivative can be multiplied with a vector."""
+
+    def hessian(self, x: Floats) -> Callable[[Floats], Floats]:
+        """Return the product of the second derivative at ``x`` with a vector; it may be indefinite."""
+
+
 @dataclass(frozen=True)
 class DescentOptions:
     """When to stop and how much to remember.
@@ -47,6 +55,12 @@ class DescentOptions:
         Iterations between two preconditioners.
     to_boundary : float
         Largest share of the feasible segment that one step may use.
+    method : {"quasi-newton", "newton"}
+        ``newton`` needs a :class:`CurvedProblem`; the memory is not used.
+    newton_refresh : int
+        Newton steps between two preconditioners.
+    inner_iterations : int
+        Largest number of products with the second derivative per Newton step.
     """
 
     max_iterations: int = 200
@@ -55,16 +69,22 @@ class DescentOptions:
     memory: int = 20
     refresh: int = 10
     to_boundary: float = 0.9
+    method: Literal["quasi-newton", "newton"] = "quasi-newton"
+    newton_refresh: int = 3
+    inner_iterations: int = 100
 
 
 def minimize_interior(
-    problem: InteriorProblem,
+    problem: InteriorProblem | CurvedProblem,
     x0: Floats,
     options: DescentOptions | None = None,
     *,
     callback: Callable[[int, Floats, float, Floats], None] | None = None,
 ) -> Result[Floats]:
-    """Minimize by preconditioned L-BFGS with a feasible backtracking line search (Nocedal and Wright 2006, ch. 7 and 19).
+    """Minimize with a feasible backtracking line search (Nocedal and Wright 2006, ch. 7 and 19).
+
+    Directions come from preconditioned L-BFGS, or from Newton's equation solved by preconditioned conjugate gradients only as
+    far as it pays and only as far as the curvature is positive.
 
     Parameters
     ----------
@@ -91,11 +111,16 @@ def minimize_interior(
     n_evaluations = 1
     status: Status = "out-of-iterations"
     iteration = 0
+    newton = opts.method == "newton"
     while iteration < opts.max_iterations:
-        if apply_inverse is None or age >= opts.refresh:
+        if apply_inverse is None or age >= (opts.newton_refresh if newton else opts.refresh):
             apply_inverse = problem.preconditioner(x)
             age = 0
-        direction = -_two_loop(gradient, pairs, apply_inverse)
+        if newton:
+            assert isinstance(problem, CurvedProblem)
+            direction = _newton_direction(problem.hessian(x), gradient, apply_inverse, opts.inner_iterations)
+        else:
+            direction = -_two_loop(gradient, pairs, apply_inverse)
         slope = float(gradient @ direction)
         if slope >= 0:
             pairs.clear()
@@ -125,7 +150,7 @@ def minimize_interior(
         s = trial - x
         y = trial_gradient - gradient
         sy = float(s @ y)
-        if sy > 1e-10 * float(np.linalg.norm(s) * np.linalg.norm(y)):
+        if not newton and sy > 1e-10 * float(np.linalg.norm(s) * np.linalg.norm(y)):
             pairs.append((s, y, sy))
         decrease = value - trial_value
         x, value, gradient = trial, trial_value, trial_gradient
@@ -139,6 +164,33 @@ def minimize_interior(
             status = "converged"
             break
     return Result(x, status, iteration, n_evaluations, {"value": np.array(values)})
+
+
+def _newton_direction(
+    product: Callable[[Floats], Floats], gradient: Floats, apply_inverse: Callable[[Floats], Floats], most: int
+) -> Floats:
+    """Solve ``H d = -g`` by conjugate gradients until the residual pays no more or the curvature fails (ibid., algorithm 7.1)."""
+    residual = -gradient
+    z = apply_inverse(residual)
+    product_rz = start = float(residual @ z)
+    direction = np.zeros_like(gradient)
+    search = z
+    # superlinear near the solution, lazy far from it
+    enough = min(0.09, np.sqrt(max(start, 0.0))) * start
+    for k in range(most):
+        curved = product(search)
+        curvature = float(search @ curved)
+        if curvature <= 1e-12 * float(search @ search):
+            return z if k == 0 else direction
+        a = product_rz / curvature
+        direction += a * search
+        residual = residual - a * curved
+        z = apply_inverse(residual)
+        previous, product_rz = product_rz, float(residual @ z)
+        if product_rz <= enough:
+            break
+        search = z + (product_rz / previous) * search
+    return direction
 
 
 def _two_loop(

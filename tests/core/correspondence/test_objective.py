@@ -147,3 +147,39 @@ def test_gauss_newton_block_matches_its_definition():
     unit = np.eye(5 * 6 * 2).reshape(-1, 5, 6, 2)
     values = np.stack([(reparameterization.evaluate(0.25 + 0.5 * e[None])[0] - at_zero) / 0.5 for e in unit])
     np.testing.assert_allclose(dense, np.einsum("alc,lcd,bld->ab", values, metric, values), atol=1e-10)
+
+
+@pytest.mark.parametrize("boundary", ["fixed", "sliding", "periodic"])
+@pytest.mark.parametrize("reference", [1, -1])
+@pytest.mark.parametrize("curves", [False, True])
+@pytest.mark.parametrize("aggregate", ["each", "ks"])
+def test_hessian_product_matches_differences_of_the_gradient(boundary, reference, curves, aggregate):
+    f = objective("I", boundary, reference, curves=curves, prior=0.3, barrier=0.7, constraint=Barrier(aggregate, 0.05))
+    rng = np.random.default_rng(3)
+    x = f.start() + f._keep_gauge(0.004 * rng.normal(size=f.start().size))
+    direction = f._keep_gauge(rng.normal(size=x.size))
+    forward, back = (f.value_and_gradient(x + h * direction)[1] for h in (1e-6, -1e-6))
+    product = f.hessian(x)(direction)
+    np.testing.assert_allclose(product, (forward - back) / 2e-6, atol=1e-4 * np.abs(product).max())
+
+
+@pytest.mark.parametrize("spectral", ["description-length", "log-determinant", "trace"])
+def test_hessian_product_of_every_spectral_function(spectral):
+    f = objective(spectral=spectral, barrier=0)
+    rng = np.random.default_rng(3)
+    x = f.start() + 0.004 * rng.normal(size=f.start().size)
+    direction = rng.normal(size=x.size)
+    forward, back = (f.value_and_gradient(x + h * direction)[1] for h in (1e-6, -1e-6))
+    product = f.hessian(x)(direction)
+    np.testing.assert_allclose(product, (forward - back) / 2e-6, atol=1e-5 * np.abs(product).max())
+
+
+@pytest.mark.parametrize("boundary", ["fixed", "sliding", "periodic"])
+def test_local_normal_blocks_equal_the_dense_product(boundary):
+    f = objective(boundary=boundary)
+    rng = np.random.default_rng(6)
+    b = f.coefficients(f.start() + 0.01 * rng.normal(size=f.start().size))
+    curvature = rng.uniform(1, 2, size=(len(b), f.jacobian.n))
+    for block, one, k in zip(f.jacobian.normal_blocks(b, curvature), b, curvature, strict=True):
+        rows = f.jacobian.rows(one)
+        np.testing.assert_allclose(block, rows.T @ (k[:, None] * rows), atol=1e-10 * np.abs(block).max())

@@ -70,3 +70,36 @@ def test_agrees_with_scipy(seed):
         options={"gtol": 1e-6, "maxiter": 5000},
     )
     assert ours.history["value"][-1] <= theirs.fun + 1e-6 * abs(theirs.fun)
+
+
+class Curved(Quadratic):
+    def hessian(self, x):
+        return lambda v: self.a @ v + self.mu / x**2 * v
+
+
+def test_newton_needs_few_steps_and_stays_feasible():
+    f, g = Curved(mu=0.1), Quadratic(mu=0.1)
+    options = DescentOptions(max_iterations=500, relative_decrease=0, gradient_tolerance=1e-7)
+    newton = minimize_interior(f, np.ones(30), DescentOptions(**{**options.__dict__, "method": "newton"}))
+    assert newton.status == "converged"
+    assert newton.n_iterations < 30
+    assert min(f.evaluated) > 0
+    assert newton.history["value"][-1] <= minimize_interior(g, np.ones(30), options).history["value"][-1] + 1e-9
+
+
+def test_newton_descends_where_the_curvature_is_negative():
+    class Saddle(Curved):
+        def value_and_gradient(self, x):
+            return float((x**4 - x**2).sum()), 4 * x**3 - 2 * x
+
+        def hessian(self, x):
+            return lambda v: (12 * x**2 - 2) * v
+
+        def preconditioner(self, x):
+            return lambda g: g.copy()
+
+        def largest_step(self, x, direction):
+            return np.inf
+
+    result = minimize_interior(Saddle(), np.full(5, 0.05), DescentOptions(method="newton", relative_decrease=0))
+    np.testing.assert_allclose(result.value, np.sqrt(0.5), atol=1e-6)

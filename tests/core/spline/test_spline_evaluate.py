@@ -81,3 +81,43 @@ def test_curves_agree_with_scipy_and_wrap_when_periodic(degree):
     np.testing.assert_allclose(jet.first[0][0], oracle.derivative()(u[0, :, 0]), atol=1e-11)
     np.testing.assert_allclose(jet.second[0][0], oracle.derivative(2)(u[0, :, 0]), atol=1e-9)
     np.testing.assert_allclose(jet.points, shifted.points, atol=1e-11)
+
+
+@pytest.mark.parametrize("second", [False, True])
+@pytest.mark.parametrize("degrees", [(2, 2), (3, 2), (3,)])
+def test_numba_gives_the_bits_of_numpy_with_any_number_of_threads(degrees, second):
+    pytest.importorskip("numba")
+    rng = np.random.default_rng(8)
+    knots = [np.concatenate([np.zeros(p), [0, 0.2, 0.45, 0.7, 1], np.ones(p)]) for p in degrees]
+    shape = tuple(len(k) - p - 1 for k, p in zip(knots, degrees, strict=True))
+
+    def one():
+        control = rng.normal(size=(*shape, 3))
+        return (
+            BSplineCurve(degrees[0], knots[0], control)
+            if len(degrees) == 1
+            else BSplineSurface(degrees, *knots, control)
+        )
+
+    splines = [one() for _ in range(5)]
+    parameters = rng.uniform(-0.3, 1.0, size=(5, 40, len(degrees)))
+    parameters[..., 1:] = np.abs(parameters[..., 1:])
+    parameters[:, 0] = 1.0
+    periodic = (True, False)[: len(degrees)]
+    jets = [
+        SplineStack(splines, periodic, evaluator=name, threads=threads).evaluate(parameters, second=second)
+        for name, threads in (("numpy", 1), ("numba", 1), ("numba", 3), ("numpy", 2))
+    ]
+    for jet in jets[1:]:
+        for a, b in zip(
+            (jets[0].points, *jets[0].first, *jets[0].second), (jet.points, *jet.first, *jet.second), strict=True
+        ):
+            assert a.tobytes() == b.tobytes()
+
+
+def test_importing_the_engine_does_not_import_numba():
+    import subprocess
+    import sys
+
+    code = "import sys, ssmpipe.core.correspondence.optimize, ssmpipe.stages.optimize; sys.exit('numba' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,168 @@
+"""Compiled evaluation of local polynomials; needs the extra ``fast`` (numba), imported on first use only.
+
+The kernel does the operations of the numpy path in the same order and without fused multiply-adds, so both give the
+same bits. It holds no lock, so that threads may evaluate different shapes at the same time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+
+from ssmpipe.core.arrays import Floats, Ints
+
+
+def available() -> bool:
+    """Return whether numba is installed; does not import it.
+
+    Examples
+    --------
+    >>> available() in (True, False)
+    True
+    """
+    return find_spec("numba") is not None
+
+
+def _curves(blocks: Floats, index: Ints, t: Floats, point: Floats, first: Floats) -> None:
+    """Evaluate (n_cells, p + 1, d) polynomials and their derivative in ``t`` at every point of one curve."""
+    degree = blocks.shape[1] - 1
+    d = blocks.shape[2]
+    for l in range(len(index)):
+        cell = index[l]
+        x = t[l]
+        for c in range(d):
+            value = blocks[cell, degree, c]
+            slope = 0.0
+            for k in range(degree - 1, -1, -1):
+                slope = slope * x + value
+                value = value * x + blocks[cell, k, c]
+            point[l, c] = value
+            first[l, c] = slope
+
+
+def _surfaces(
+    blocks: Floats, index: Ints, t: Floats, s: Floats, point: Floats, along_u: Floats, along_v: Floats
+) -> None:
+    """Evaluate (n_cells, p + 1, q + 1, d) polynomials and both first derivatives at every point of one surface."""
+    degree_u = blocks.shape[1] - 1
+    degree_v = blocks.shape[2] - 1
+    d = blocks.shape[3]
+    m = (degree_v + 1) * d
+    flat = blocks.reshape(blocks.shape[0], degree_u + 1, m)
+    value = np.empty(m)
+    slope = np.empty(m)
+    for l in range(len(index)):
+        cell = index[l]
+        x = t[l]
+        y = s[l]
+        for c in range(m):
+            value[c] = flat[cell, degree_u, c]
+            slope[c] = 0.0
+        for k in range(degree_u - 1, -1, -1):
+            for c in range(m):
+                slope[c] = slope[c] * x + value[c]
+                value[c] = value[c] * x + flat[cell, k, c]
+        for c in range(d):
+            here = value[degree_v * d + c]
+            in_u = slope[degree_v * d + c]
+            in_v = 0.0
+            for k in range(degree_v - 1, -1, -1):
+                in_v = in_v * y + here
+                here = here * y + value[k * d + c]
+                in_u = in_u * y + slope[k * d + c]
+            point[l, c] = here
+            along_u[l, c] = in_u
+            along_v[l, c] = in_v
+
+
+def _curves_second(blocks: Floats, index: Ints, t: Floats, point: Floats, first: Floats, second: Floats) -> None:
+    """As :func:`_curves`, with the second derivative."""
+    degree = blocks.shape[1] - 1
+    for l in range(len(index)):
+        cell = index[l]
+        x = t[l]
+        for c in range(blocks.shape[2]):
+            value = blocks[cell, degree, c]
+            slope = 0.0
+            bend = 0.0
+            for k in range(degree - 1, -1, -1):
+                bend = bend * x + 2 * slope
+                slope = slope * x + value
+                value = value * x + blocks[cell, k, c]
+            point[l, c] = value
+            first[l, c] = slope
+            second[l, c] = bend
+
+
+def _surfaces_second(
+    blocks: Floats,
+    index: Ints,
+    t: Floats,
+    s: Floats,
+    point: Floats,
+    along_u: Floats,
+    along_v: Floats,
+    uu: Floats,
+    uv: Floats,
+    vv: Floats,
+) -> None:
+    """As :func:`_surfaces`, with the second derivatives."""
+    degree_u = blocks.shape[1] - 1
+    degree_v = blocks.shape[2] - 1
+    d = blocks.shape[3]
+    m = (degree_v + 1) * d
+    flat = blocks.reshape(blocks.shape[0], degree_u + 1, m)
+    value = np.empty(m)
+    slope = np.empty(m)
+    bend = np.empty(m)
+    for l in range(len(index)):
+        cell = index[l]
+        x = t[l]
+        y = s[l]
+        for c in range(m):
+            value[c] = flat[cell, degree_u, c]
+            slope[c] = 0.0
+            bend[c] = 0.0
+        for k in range(degree_u - 1, -1, -1):
+            for c in range(m):
+                bend[c] = bend[c] * x + 2 * slope[c]
+                slope[c] = slope[c] * x + value[c]
+                value[c] = value[c] * x + flat[cell, k, c]
+        for c in range(d):
+            here = value[degree_v * d + c]
+            in_u = slope[degree_v * d + c]
+            in_uu = bend[degree_v * d + c]
+            in_v = 0.0
+            in_vv = 0.0
+            in_uv = 0.0
+            for k in range(degree_v - 1, -1, -1):
+                in_vv = in_vv * y + 2 * in_v
+                in_v = in_v * y + here
+                here = here * y + value[k * d + c]
+                in_uv = in_uv * y + in_u
+                in_u = in_u * y + slope[k * d + c]
+                in_uu = in_uu * y + bend[k * d + c]
+            point[l, c] = here
+            along_u[l, c] = in_u
+            along_v[l, c] = in_v
+            uu[l, c] = in_uu
+            uv[l, c] = in_uv
+            vv[l, c] = in_vv
+
+
+@cache
+def kernel(n_directions: int, second: bool) -> Callable[..., Any]:
+    """Return a compiled kernel; compiled once per machine where numba finds a place for its cache."""
+    import numba
+
+    def build(function: Callable[..., None]) -> Callable[..., Any]:
+        try:
+            return numba.njit(function, nogil=True, cache=True)
+        except RuntimeError:  # no folder for the cache
+            return numba.njit(function, nogil=True)
+
+    return build(((_curves, _curves_second), (_surfaces, _surfaces_second))[n_directions - 1][second])
