@@ -62,10 +62,11 @@ class Config(StageConfig):
         Field(description="Variance below which a mode counts as noise [mm^2]; auto: (RMS radius / 1000)^2."),
     ] = "auto"
     pose: Annotated[
-        Literal["refined", "procrustes", "keep"],
+        Literal["refined", "procrustes", "keep", "each-evaluation"],
         Field(
             description="Rigid poses. keep: as aligned; procrustes: refined once before, from the initial correspondence; "
-            "refined: refined from the optimized correspondence, at most pose_rounds times."
+            "refined: refined from the optimized correspondence, at most pose_rounds times; each-evaluation: also inside "
+            "every evaluation, differentiated."
         ),
     ] = _DEFAULT.pose
     pose_rounds: Annotated[int, Field(ge=0, description="Refinements of the poses when pose is refined.")] = (
@@ -347,7 +348,8 @@ STAGE = Stage(
         Port("corresponded", "meshes"),
     ),
     methods="Correspondence was found by B-spline reparameterization of all shapes at once ({n_coefficients} coefficients each), "
-    "minimizing the description length of the covariance of {landmarks} landmarks with adjoint gradients; every "
+    "minimizing the {objective} of the covariance of {landmarks} landmarks with adjoint gradients "
+    "(removed inside the objective: {normalize}); every "
     "reparameterization was proved to be a diffeomorphism by Bernstein bounds of its Jacobian.",
     cites=("li2015", "thodberg2003", "davies2002"),
 )
