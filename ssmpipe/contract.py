@@ -30,6 +30,7 @@ any               dict name -> TriMesh or Outline, kind ``meshes``              
 
 from __future__ import annotations
 
+import difflib
 import logging
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -71,6 +72,10 @@ class Landmarks:
     array([0., 0., 0.])
     >>> marks.role("seam") is None
     True
+    >>> Landmarks({"mfh": np.zeros(3), "a": np.zeros(3)}, {"apex": "MFH"}).role("apex")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    ...
+    ssmpipe.core.errors.LandmarkError: landmark 'MFH' (role 'apex') is missing; this shape has 'mfh' and 1 more; try: ...
     """
 
     points: Mapping[str, Floats] = field(default_factory=dict)
@@ -90,12 +95,21 @@ class Landmarks:
         if name in self.points:
             return self.points[name]
         if role in self.roles:
-            have = ", ".join(sorted(self.points)) or "none"
             raise LandmarkError(
-                f"landmark '{name}' (role '{role}') is missing; this shape has: {have}",
+                f"landmark '{name}' (role '{role}') is missing; this shape has {self._others(name)}",
                 f"add it to the landmark file, or remove input.roles.{role} to let geometry decide",
             )
         return None
+
+    def _others(self, name: str) -> str:
+        """Return what there is instead of ``name``: the closest one, or a few."""
+        names = sorted(self.points)
+        close = difflib.get_close_matches(name.lower(), [n.lower() for n in names], n=1)
+        if close:
+            best = next(n for n in names if n.lower() == close[0])
+            return f"'{best}'" + (f" and {len(names) - 1} more" if len(names) > 1 else "")
+        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+        return ", ".join(f"'{n}'" for n in names[:3]) + more if names else "none"
 
     def transformed(self, matrix: Floats) -> Landmarks:
         """Return the landmarks moved by a (4, 4) homogeneous ``matrix``; planar ones by its part in the plane."""

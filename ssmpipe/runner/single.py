@@ -21,21 +21,23 @@ import click
 import numpy as np
 
 from ssmpipe.contract import Context, Landmarks, Port, ShapeInfo, Stage
-from ssmpipe.core.errors import ArtifactError, ConfigError, SsmpipeError
+from ssmpipe.core.errors import ArtifactError, ConfigError, LandmarkError, SsmpipeError
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.io.arrays import read_npz, write_npz
 from ssmpipe.io.codecs import load_artifact, read_json, save_artifact, write_json
 from ssmpipe.io.landmarks import read_landmarks
 from ssmpipe.io.meshes import MESH_SUFFIXES, read_mesh, write_mesh
 from ssmpipe.io.outlines import OUTLINE_SUFFIXES, read_outline, write_outline
-from ssmpipe.runner.config import explain
+from ssmpipe.runner.config import InputConfig, explain
 from ssmpipe.runner.document import parse_value
 from ssmpipe.runner.execute import disk_errors, failure_of, make_rng
+from ssmpipe.runner.sources import check_landmarks
 
 COHORT_KINDS = {"correspondence": "correspondence.npz", "model": "model.npz"}
 PER_VERTEX = ("uv",)  # not valid any more when the mesh has changed
 JSON_KINDS = ("landmarks", "transform", "info", "json")
 SHAPES = "shapes.json"
+PLAUSIBLE_MM = (2.0, 5000.0)  # diagonal of a scan, from a mouse vertebra to a whole body
 
 
 def stage_command(stage: Stage, guard: Callable[[], AbstractContextManager[None]]) -> click.Command:
@@ -142,10 +144,12 @@ def _run_shape(stage: Stage, source: Path, target: Path, seed: int, given: Mappi
     cfg = _config(stage, given)
     shape_id = _shape_id(source)
     slots, kinds = _read_shape(source, _main_kind(stage.inputs, source))
+    raw = "transform" not in slots
     _apply(slots, kinds, shape_id, given)
     ctx = Context(shape_id, make_rng(seed, shape_id, stage.name), _console_logger(stage.name))
     _prepare(stage, slots, given)
     try:
+        _check_scan(slots, given, ctx, raw=raw)
         made = stage.run(**_arguments(stage, slots, source), cfg=cfg, ctx=ctx)
     except (SsmpipeError, MemoryError, SystemExit) as error:
         fact, remedy, _ = failure_of(error)
@@ -266,6 +270,27 @@ def _apply(slots: dict[str, Any], kinds: dict[str, str], shape_id: str, given: M
             raise ConfigError(f"--role {text}: write it as ROLE=NAME")
         roles[role.strip()] = name.strip()
     slots["landmarks"], kinds["landmarks"] = Landmarks(marks.points, roles), "landmarks"
+
+
+def _check_scan(slots: Mapping[str, Any], given: Mapping[str, Any], ctx: Context, *, raw: bool) -> None:
+    """Refuse landmarks of the command line that are far from the shape; warn of a scan whose size can hardly be in mm."""
+    mesh, shape = slots.get("mesh"), slots.get("mesh", slots.get("contour"))
+    if raw and mesh is not None:
+        diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+        if not PLAUSIBLE_MM[0] <= diagonal <= PLAUSIBLE_MM[1]:
+            ctx.warn(
+                f"bounding box diagonal is {diagonal:.3g}; stages take lengths as mm, convert the file if it is not"
+            )
+    if shape is None or given.get("landmark_file") is None:
+        return
+    units = "mm" if mesh is not None else "none"  # outlines are often in pixels
+    try:
+        warnings = check_landmarks(shape, slots["landmarks"].points, InputConfig().landmark_tolerance, units)
+    except LandmarkError as error:
+        remedy = "give landmarks of this file, in its frame and units" if "away" in error.fact else error.remedy
+        raise LandmarkError(error.fact, remedy) from error
+    for warning in warnings:
+        ctx.warn(warning)
 
 
 def _prepare(stage: Stage, slots: dict[str, Any], given: Mapping[str, Any]) -> None:

@@ -114,3 +114,25 @@ def test_names_with_spaces_keep_shapes_apart(call: Call, bone: Path) -> None:
     result = call("total", bone.parent / "moved", bone.parent / "sum")
     assert result.exit_code == 0, result.output
     assert "2 shapes; results are in" in result.output
+
+
+def test_landmarks_far_from_the_file_are_refused(call: Call, bone: Path) -> None:
+    marks, out = bone.with_name("marks.json"), bone.with_name("x.ply")
+    marks.write_text(json.dumps({"bone": {"tip": [0, 0, -50.0], "top": [0, 0, -7.0]}}))
+    result = call("shift", bone, out, "--landmarks", marks, "--reference", bone)
+    assert result.exit_code == 3, result.output
+    assert "bone, shift, " in result.output
+    assert (
+        "landmark 'tip' is 50.0 mm away from the surface, at most 20 is accepted; try: give landmarks of"
+        in result.output
+    )
+    assert not out.exists()
+    marks.write_text(json.dumps({"bone": {"top": [0, 0, -7.0]}}))
+    result = call("shift", bone, out, "--landmarks", marks, "--reference", bone)
+    assert (result.exit_code, "warning: landmark 'top' is 7.0 mm away" in result.output) == (0, True)
+
+
+def test_a_file_in_metres_is_noticed(call: Call, bone: Path) -> None:
+    write_mesh(bone, tetrahedron(0.4))
+    result = call("grow", bone, bone.with_name("x.ply"))
+    assert (result.exit_code, "bounding box diagonal is 0.693; stages take lengths as mm" in result.output) == (0, True)

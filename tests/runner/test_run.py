@@ -204,6 +204,30 @@ def test_memory_limit(run: Run) -> None:
     assert result.ok == ["a", "c", "d"]
 
 
+def test_units_landmarks_and_roles_name_their_remedy(run: Run, scans: Path, tmp_path: Path) -> None:
+    for i in "abc":
+        write_mesh(scans / f"{i}.ply", tetrahedron(100.0))
+    write_mesh(scans / "d.ply", tetrahedron(0.1))
+    marks = {"a": {"tip": [0, 0, 0]}, "b": {"tip": [0, 0, -50]}, "c": {"tipp": [0, 0, 0]}, "d": {"tip": [0, 0, 0]}}
+    (tmp_path / "marks.json").write_text(json.dumps(marks))
+    stages = [{name: {"skip": True}} for name in ("smooth", "decimate", "align", "parameterize", "sample", "fit")]
+    stages += [{name: {"skip": True}} for name in ("optimize", "model", "evaluate", "report")]
+    given = {"landmarks": "marks.json", "roles": {"trim": "tip"}}
+    chain = [*stages, {"orient": {"frame": "none", "mirror": "none"}}]
+    result = run(anatomy="femur-distal", stages=chain, input=given)
+    lines = {i: failure.line for i, failure in result.failures.items()}
+    assert set(lines) >= {"b", "c", "d"}
+    assert lines["b"].startswith(
+        "b, repair, b.ply: landmark 'tip' is 50.0 mm away from the surface, at most 20 is accepted"
+    )
+    assert lines["c"].startswith(
+        "c, trim, c.ply: landmark 'tip' (role 'trim') is missing; this shape has 'tipp'; try: "
+    )
+    assert lines["d"] == (
+        "d, repair, d.ply: bounding box diagonal is 0.173 mm, femur-distal expects 60-700 mm; try: set input.units: m"
+    )
+
+
 def test_too_few_shapes(run: Run) -> None:
     result = run("stages.grow.refuse=[a, b]")
     assert (result.exit_code, result.report) == (3, None)
