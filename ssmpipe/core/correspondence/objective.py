@@ -301,7 +301,8 @@ class GroupObjective:
         """Return the product of the second derivative with a vector; its cost is below that of a gradient.
 
         Exact for covariance ``discrete`` and ``I``: the change of the eigenvectors enters through the divided differences of
-        ``phi'`` and the curvature of the shapes through their second derivatives. For ``II`` the weights are held.
+        ``phi'`` and the curvature of the shapes through their second derivatives. For ``II`` the weights are held, and so are
+        rotations inside the evaluation.
         """
         evaluation = self.evaluate(x)
         coefficients = self.coefficients(x)
@@ -317,14 +318,18 @@ class GroupObjective:
         def packed(field: Floats) -> Floats:
             return np.ascontiguousarray(np.moveaxis(field, 2, 1)) * root
 
-        centred = packed(jet.points - jet.points.mean(axis=0)).reshape(n_shapes, -1)
-        tangents = [packed(s[moving]) for s in jet.first]
+        first, second = jet.first, jet.second
+        if self.target is not None:
+            turns = np.swapaxes(evaluation.rotations, 1, 2)
+            first, second = tuple(s @ turns for s in first), tuple(s @ turns for s in second)
+        centred = packed(evaluation.points - evaluation.points.mean(axis=0)).reshape(n_shapes, -1)
+        tangents = [packed(s[moving]) for s in first]
         vectors, slope = spec.vectors, self.spectral.slope(spec.eigenvalues)
         d_gram = (vectors * slope) @ vectors.T
         within = np.ascontiguousarray(d_gram[np.ix_(moving, moving)])
         differences = self.spectral.slope_differences(spec.eigenvalues)
         pulled = (d_gram[moving] @ centred).reshape(len(moving), d, n_p)
-        bends = [(np.moveaxis(s[moving], 2, 1) * root * pulled).sum(axis=1) for s in jet.second]
+        bends = [(np.moveaxis(s[moving], 2, 1) * root * pulled).sum(axis=1) for s in second]
         current = coefficients[moving]
         jacobians = self.jacobian.coefficients(current)
         wall = self.constraint.slope(jacobians) if self.barrier > 0 else jacobians
@@ -347,8 +352,8 @@ class GroupObjective:
                     out[:, c] += bends[c + e] * shift[:, e]
             result = space.displacements_transposed(out)
             if self.barrier > 0:
-                first, _ = self.jacobian.along(current, direction, jacobians)
-                tightened = self.jacobian.pull_back(current, self.constraint.slope_along(jacobians, first))
+                change_of_j, _ = self.jacobian.along(current, direction, jacobians)
+                tightened = self.jacobian.pull_back(current, self.constraint.slope_along(jacobians, change_of_j))
                 turned = self.jacobian.pull_back(current + direction, wall) - wall_gradient
                 result = result + self.barrier * (tightened + turned)
             if self.prior > 0:

@@ -158,9 +158,9 @@ def test_hessian_product_matches_differences_of_the_gradient(boundary, reference
     rng = np.random.default_rng(3)
     x = f.start() + f._keep_gauge(0.004 * rng.normal(size=f.start().size))
     direction = f._keep_gauge(rng.normal(size=x.size))
-    forward, back = (f.value_and_gradient(x + h * direction)[1] for h in (1e-6, -1e-6))
+    forward, back = (f.value_and_gradient(x + h * direction)[1] for h in (1e-7, -1e-7))
     product = f.hessian(x)(direction)
-    np.testing.assert_allclose(product, (forward - back) / 2e-6, atol=1e-4 * np.abs(product).max())
+    np.testing.assert_allclose(product, (forward - back) / 2e-7, atol=1e-6 * np.abs(product).max())
 
 
 @pytest.mark.parametrize("spectral", ["description-length", "log-determinant", "trace"])
@@ -169,9 +169,9 @@ def test_hessian_product_of_every_spectral_function(spectral):
     rng = np.random.default_rng(3)
     x = f.start() + 0.004 * rng.normal(size=f.start().size)
     direction = rng.normal(size=x.size)
-    forward, back = (f.value_and_gradient(x + h * direction)[1] for h in (1e-6, -1e-6))
+    forward, back = (f.value_and_gradient(x + h * direction)[1] for h in (1e-7, -1e-7))
     product = f.hessian(x)(direction)
-    np.testing.assert_allclose(product, (forward - back) / 2e-6, atol=1e-5 * np.abs(product).max())
+    np.testing.assert_allclose(product, (forward - back) / 2e-7, atol=1e-6 * np.abs(product).max())
 
 
 @pytest.mark.parametrize("boundary", ["fixed", "sliding", "periodic"])
