@@ -21,7 +21,7 @@ FAILURES = "failures.json"
 
 
 def read_failures(out: Path) -> dict[str, dict[str, str]]:
-    """Return what failures.json says: {id: {stage, error, remedy}}; empty when there is none."""
+    """Return what failures.json says: {id: {stage, file, error, remedy}}; empty when there is none."""
     try:
         data = json.loads((out / FAILURES).read_text(encoding="utf-8"))
     except (OSError, ValueError):

@@ -14,7 +14,7 @@ from typing import Any
 
 from ssmpipe.core.errors import ConfigError, SsmpipeError
 from ssmpipe.runner.batch import COHORT, Batch, Failure, Job, Outcome
-from ssmpipe.runner.config import Project
+from ssmpipe.runner.config import Project, RunConfig
 from ssmpipe.runner.console import Console
 from ssmpipe.runner.execute import DiskError, TaskRecord, disk_errors, write_atomically
 from ssmpipe.runner.lock import locked
@@ -127,7 +127,15 @@ def dry_run(project: Project, options: RunOptions) -> list[Forecast]:
     workspace = make_workspace(project)
     ready = {s.id for s in chosen.steps if s.prepares and chosen.partial and workspace.prepared_is_usable(s)}
     found = forecast(workspace, chosen.steps, chosen.shapes, chosen.forced, ready)
-    report = next((step for step in chosen.steps if step.stage == REPORT), None)
+    return with_report(project, workspace, found, force=REPORT in {project.plan.step(i).stage for i in chosen.forced})
+
+
+def with_report(
+    project: Project, workspace: Workspace, found: list[Forecast], *, force: bool = False
+) -> list[Forecast]:
+    """Return a forecast with what becomes of the report, when nothing before it would run."""
+    named = {item.step for item in found}
+    report = next((step for step in project.plan.steps if step.stage == REPORT and step.id in named), None)
     if report is None or any(item.run for item in found if item.step != report.id):
         return found
     from ssmpipe.runner.reporting import report_decision
@@ -135,10 +143,22 @@ def dry_run(project: Project, options: RunOptions) -> list[Forecast]:
     # what the report shows besides its inputs is known only here
     record = run_record(project, workspace, read_failures(project.out), {}, {}, machine())
     try:
-        decision = report_decision(workspace, report, record, force=report.id in chosen.forced)
+        decision = report_decision(workspace, report, record, force=force)
     except SsmpipeError:  # a result is missing and not selected: the forecast says so
         return found
     return [Forecast(i.step, i.shape, decision.run, decision.reason) if i.step == report.id else i for i in found]
+
+
+def shortage(config: RunConfig, n_left: int, n_all: int) -> str:
+    """Return why the group stages cannot be run with the shapes that are left, and a remedy; empty when they can."""
+    left, mend = f"{n_left} of {n_all} shapes are left", "mend the shapes that failed"
+    if n_left < config.min_shapes:
+        lower = ", or lower min_shapes" if n_left >= 2 else ""
+        return f"{left}, at least {config.min_shapes} are needed (min_shapes); try: {mend}, add scans{lower}"
+    if n_all - n_left > config.max_failed_fraction * n_all:
+        share = f"more than {config.max_failed_fraction:g} failed (max_failed_fraction)"
+        return f"{left}, {share}; try: {mend}, take them out of input.scans, or raise max_failed_fraction"
+    return ""
 
 
 def run_project(project: Project, options: RunOptions, console: Console) -> RunResult:
@@ -345,12 +365,17 @@ class _Run:
         named = len(members) == 1 < len(everyone)
         gone = [i for i in members if i in self.failures or (i not in self.alive and i in self.earlier)]
         if named and gone:
-            self._stop(f"'{step.id}': its reference shape {members[0]} failed; choose another one", QUARANTINED)
+            self._stop(
+                f"'{step.id}': its reference shape {members[0]} failed; try: mend it, or name another one", QUARANTINED
+            )
             return
         ids = [i for i in members if i not in gone]
         ids = self._with_inputs([step], ids)
         if not ids:
-            self._stop(f"'{step.id}': no shape is left", QUARANTINED)
+            self._stop(
+                f"'{step.id}': no shape is left; try: mend the shapes that failed, each is named above with its remedy",
+                QUARANTINED,
+            )
             return
         self._group_job(
             batch, Job(self.workspace.only(ids), (step.id,), None, tuple(ids), self.chosen.forced, prepare=True)
@@ -363,12 +388,9 @@ class _Run:
         ids = [i for i in everyone if i not in gone]
         if any(p.scope == "shape" for p in step.upstream):
             ids = self._with_inputs([step], ids)
-        config = self.project.config
-        needs = f"'{step.id}' was not run: {len(ids)} of {len(everyone)} shapes are left"
-        if len(ids) < config.min_shapes:
-            self._stop(f"{needs}, at least {config.min_shapes} are needed (min_shapes)", QUARANTINED)
-        elif len(everyone) - len(ids) > config.max_failed_fraction * len(everyone):
-            self._stop(f"{needs}, more than {config.max_failed_fraction:g} failed (max_failed_fraction)", QUARANTINED)
+        short = shortage(self.project.config, len(ids), len(everyone))
+        if short:
+            self._stop(f"'{step.id}' was not run: {short}", QUARANTINED)
         else:
             self._group_job(batch, Job(self.workspace.only(ids), (step.id,), None, tuple(ids), self.chosen.forced))
 
@@ -447,7 +469,10 @@ class _Run:
             if (key in self.project.sources and (key not in touched or value.get("stage") not in inside))
             or (key == COHORT and value.get("stage") not in inside)
         }
-        now = {key: {"stage": f.stage, "error": f.error, "remedy": f.remedy} for key, f in self.failures.items()}
+        now = {
+            key: {"stage": f.stage, **({"file": f.file} if f.file else {}), "error": f.error, "remedy": f.remedy}
+            for key, f in self.failures.items()
+        }
         return {**kept, **now}
 
     def _write_failures(self) -> None:

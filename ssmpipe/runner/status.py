@@ -14,7 +14,7 @@ from ssmpipe.runner.config import Project
 from ssmpipe.runner.lock import locked
 from ssmpipe.runner.record import read_failures, run_record
 from ssmpipe.runner.registry import REPORT
-from ssmpipe.runner.run import machine, make_workspace
+from ssmpipe.runner.run import machine, make_workspace, shortage, with_report
 from ssmpipe.runner.suggest import count
 from ssmpipe.runner.workspace import Forecast, forecast
 
@@ -38,8 +38,8 @@ def status_of(project: Project) -> list[TaskStatus]:
     failures = read_failures(project.out)
     everyone = sorted(project.sources)
     ids = [i for i in everyone if i not in failures]
-    steps = [step for step in project.plan.steps if step.stage != REPORT]
-    items = forecast(workspace, steps, ids)
+    items = with_report(project, workspace, forecast(workspace, project.plan.steps, ids))
+    short = shortage(project.config, len(ids), len(everyone)) if len(ids) < len(everyone) else ""
     found = []
     for item in items:
         step = project.plan.step(item.step)
@@ -47,7 +47,8 @@ def status_of(project: Project) -> list[TaskStatus]:
         folder = workspace.prepared_folder(step) if item.shape == "*" else workspace.folder(step, shape)
         exists = workspace.manifest(folder) is not None
         state = "done" if not item.run else "stale" if exists else "to do"
-        found.append(TaskStatus(item.step, item.shape, state, item.reason))
+        blocked = short and step.scope == "cohort" and state != "done"
+        found.append(TaskStatus(item.step, item.shape, state, f"blocked: {short}" if blocked else item.reason))
     for shape, failure in failures.items():
         if shape in project.sources or shape.startswith("("):
             key = shape if shape in project.sources else ""
@@ -81,7 +82,8 @@ def print_status(tasks: Sequence[TaskStatus], project: Project, console: Console
     console.table(table)
     for task in tasks:
         if task.state == "failed":
-            console.say(f"failed: {task.shape or 'cohort'}, {task.step}: {task.reason}")
+            file = f", {project.sources[task.shape].path.name}" if task.shape in project.sources else ""
+            console.say(f"failed: {task.shape or 'cohort'}, {task.step}{file}: {task.reason}")
     page = project.out / "report.html"
     if page.is_file():
         console.say(f"report: {page}")

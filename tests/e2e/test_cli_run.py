@@ -88,7 +88,7 @@ def test_failed_shapes_give_3(call: Call, config: Path) -> None:
     assert "3 shapes ok, 1 failed" in result.output
     status = call("status", config, "--set", "stages.grow.refuse=[a]")
     assert status.exit_code == 0
-    assert "failed: a, grow: the mesh has 2 components" in status.output
+    assert "failed: a, grow, a.ply: the mesh has 2 components" in status.output
     tasks = json.loads(call("status", config, "--json").output)["tasks"]
     assert {"step", "shape", "state", "reason"} == set(tasks[0])
 

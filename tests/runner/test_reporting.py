@@ -9,7 +9,7 @@ import pytest
 from ssmpipe.core.errors import SsmpipeError
 from ssmpipe.runner.config import Project
 from ssmpipe.runner.run import RunOptions, RunResult, dry_run
-from ssmpipe.runner.status import rewrite_report
+from ssmpipe.runner.status import rewrite_report, status_of
 
 CHAIN = ["grow", "shift", "results", "report"]
 
@@ -56,3 +56,16 @@ def test_dry_run_knows_whether_the_report_is_up_to_date(
     assert last() == ("report", False, "up to date")
     assert last(forced=frozenset({"report"})) == ("report", True, "forced")
     assert last("min_shapes=2") == ("report", True, "input changed: record")
+
+
+def test_status_tells_whether_the_report_is_up_to_date(
+    run: Callable[..., RunResult], project: Callable[..., Project]
+) -> None:
+    def last(*overrides: str) -> tuple[str, str]:
+        task = status_of(project(*overrides, stages=CHAIN))[-1]
+        return task.step, task.state
+
+    assert last() == ("report", "to do")
+    run(stages=CHAIN)
+    assert last() == ("report", "done")
+    assert last("min_shapes=2") == ("report", "stale")

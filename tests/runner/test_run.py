@@ -164,9 +164,10 @@ def test_bad_shapes_are_named_and_the_others_go_on(
     assert result.ok == ["b", "d"]
     failures = json.loads((tmp_path / "out/failures.json").read_text())
     assert failures == {
-        "a": {"stage": "grow", "error": "the mesh has 2 components", "remedy": "keep the largest"},
+        "a": {"stage": "grow", "file": "a.ply", "error": "the mesh has 2 components", "remedy": "keep the largest"},
         "c": {
             "stage": "grow",
+            "file": "c.ply",
             "error": "the process crashed (SIGABRT)",
             "remedy": "check the scan in a mesh viewer",
         },
@@ -228,12 +229,22 @@ def test_units_landmarks_and_roles_name_their_remedy(run: Run, scans: Path, tmp_
     )
 
 
-def test_too_few_shapes(run: Run) -> None:
+def test_too_few_shapes(run: Run, project: Load) -> None:
     result = run("stages.grow.refuse=[a, b]")
     assert (result.exit_code, result.report) == (3, None)
-    assert result.problem == "'total' was not run: 2 of 4 shapes are left, at least 3 are needed (min_shapes)"
+    assert result.problem == (
+        "'total' was not run: 2 of 4 shapes are left, at least 3 are needed (min_shapes); "
+        "try: mend the shapes that failed, add scans, or lower min_shapes"
+    )
+    tasks = status_of(project("stages.grow.refuse=[a, b]"))
+    (total,) = (t for t in tasks if t.step == "total")
+    assert (total.state, total.reason) == ("to do", result.problem.replace("'total' was not run", "blocked"))
     result = run("stages.grow.refuse=[a]", "max_failed_fraction=0.2")
-    assert "more than 0.2 failed (max_failed_fraction)" in result.problem
+    assert "more than 0.2 failed (max_failed_fraction); try: mend" in result.problem
+    result = run("stages.grow.refuse=[a, b, c, d]")
+    assert result.problem == (
+        "'shift': no shape is left; try: mend the shapes that failed, each is named above with its remedy"
+    )
 
 
 def test_group_stage_that_refuses(run: Run, tmp_path: Path) -> None:
