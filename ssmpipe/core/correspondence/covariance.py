@@ -2,23 +2,77 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+import scipy.linalg
 
 from ssmpipe.core.arrays import Floats
+from ssmpipe.core.blocks import map_blocks
+from ssmpipe.core.correspondence.spectral import SpectralFunction
+
+CHOLESKY_FROM = 200
+"""Number of shapes from which the log-determinant is computed without eigenvalues."""
+_LANDMARKS_PER_BLOCK = 512
 
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Eigendecomposition of the (n_S, n_S) Gram matrix, without its null direction, eigenvalues decreasing."""
+    """The (n_S, n_S) Gram matrix and, computed when first asked for, its eigendecomposition without the null direction."""
 
-    eigenvalues: Floats
-    vectors: Floats
+    gram: Floats
+
+    @cached_property
+    def _pairs(self) -> tuple[Floats, Floats]:
+        values, vectors = np.linalg.eigh(self.gram)
+        return values[:0:-1].copy(), vectors[:, :0:-1].copy()
+
+    @property
+    def eigenvalues(self) -> Floats:
+        """``n_S - 1`` eigenvalues [mm^2], decreasing."""
+        return self._pairs[0]
+
+    @property
+    def vectors(self) -> Floats:
+        """The (n_S, n_S - 1) eigenvectors, columns."""
+        return self._pairs[1]
+
+    def value(self, function: SpectralFunction) -> float:
+        """Return ``sum phi(lambda_m)``; by a Cholesky factor where that is faster and enough."""
+        if self._by_cholesky(function):
+            return float(2.0 * np.log(np.diagonal(self._factor(function.shift)[0])).sum() - np.log(function.shift))
+        return function.value(self.eigenvalues)
+
+    def slope(self, function: SpectralFunction) -> Floats:
+        """Return ``V diag(phi') V^T``, the derivative in the Gram matrix; a constant on the null direction does no harm."""
+        if self._by_cholesky(function):
+            n = len(self.gram)
+            inverse = scipy.linalg.cho_solve(self._factor(function.shift), np.eye(n), check_finite=False)
+            return np.asarray(0.5 * (inverse + inverse.T) - 1.0 / (n * function.shift))
+        return np.asarray((self.vectors * function.slope(self.eigenvalues)) @ self.vectors.T)
+
+    def _by_cholesky(self, function: SpectralFunction) -> bool:
+        return function.shift > 0 and len(self.gram) >= CHOLESKY_FROM
+
+    def _factor(self, shift: float) -> tuple[Floats, bool]:
+        shifted = self.gram + shift * np.eye(len(self.gram))
+        return scipy.linalg.cho_factor(shifted, lower=True, check_finite=False)
 
 
-def spectrum(centred: Floats, weights: Floats) -> Spectrum:
+def centre(points: Floats, threads: int = 1) -> Floats:
+    """Return (n_S, n_P, d) points minus their mean over the shapes."""
+    out = np.empty_like(points)
+
+    def one(block: slice) -> None:
+        part = points[:, block]
+        np.subtract(part, part.mean(axis=0), out=out[:, block])
+
+    map_blocks(one, points.shape[1], _LANDMARKS_PER_BLOCK, threads)
+    return out
+
+
+def spectrum(centred: Floats, weights: Floats, threads: int = 1) -> Spectrum:
     """Return the nonzero spectrum of ``Xc W Xc^T / (n_S - 1)`` (Li 2015, [1.20-1.22]).
 
     Parameters
@@ -27,41 +81,44 @@ def spectrum(centred: Floats, weights: Floats) -> Spectrum:
         Points minus their mean over the shapes.
     weights : (n_P,) float64
         Non-negative, sum 1.
-
-    Returns
-    -------
-    Spectrum
-        ``n_S - 1`` eigenvalues [mm^2] and the columns of ``vectors`` (n_S, n_S - 1).
+    threads : int, default=1
+        They share fixed blocks of landmarks, summed in order: any number gives the same bits.
     """
     n_shapes = len(centred)
-    flat = (centred * np.sqrt(weights)[:, None]).reshape(n_shapes, -1)
-    values, vectors = np.linalg.eigh(flat @ flat.T / (n_shapes - 1))
-    return Spectrum(values[:0:-1].copy(), vectors[:, :0:-1].copy())
+    root = np.sqrt(weights / (n_shapes - 1))[:, None]
+
+    def one(block: slice) -> Floats:
+        flat = (centred[:, block] * root[block]).reshape(n_shapes, -1)
+        return np.asarray(flat @ flat.T)
+
+    gram = np.zeros((n_shapes, n_shapes))
+    for part in map_blocks(one, centred.shape[1], _LANDMARKS_PER_BLOCK, threads):
+        gram += part
+    return Spectrum(gram)
 
 
-def spectral_adjoint(
-    centred: Floats, weights: Floats, spec: Spectrum, slope: Callable[[Floats], Floats]
-) -> tuple[Floats, Floats, Floats]:
-    """Return the derivative of ``sum phi(lambda_m)`` in the points and in the weights.
+def spectral_adjoint(centred: Floats, weights: Floats, d_gram: Floats, block: slice = slice(None)) -> Floats:
+    """Return the derivative of ``sum phi(lambda_m)`` in the points of some shapes, at fixed weights, (n, n_P, d).
+
+    It is the closed solution ``mu_m = phi'(lambda_m) v_m`` of the adjoint system [2.20].
 
     Parameters
     ----------
     centred, weights
         As in :func:`spectrum`.
-    spec : Spectrum
-    slope : callable
-        ``phi'`` on an array of eigenvalues.
-
-    Returns
-    -------
-    d_points : (n_S, n_P, d)
-        At fixed weights. It is the closed solution ``mu_m = phi'(lambda_m) v_m`` of the adjoint system [2.20].
-    d_weights : (n_P,)
     d_gram : (n_S, n_S)
-        ``V diag(phi') V^T``; its diagonal weighs the Gauss-Newton blocks.
+        ``V diag(phi') V^T``.
+    block : slice, optional
+        Shapes; all by default.
     """
     n_shapes = len(centred)
-    d_gram = (spec.vectors * slope(spec.eigenvalues)) @ spec.vectors.T
-    product = (d_gram @ centred.reshape(n_shapes, -1)).reshape(centred.shape) / (n_shapes - 1)
-    d_weights = np.einsum("ild,ild->l", product, centred)
-    return 2.0 * product * weights[:, None], d_weights, d_gram
+    product = (d_gram[block] @ centred.reshape(n_shapes, -1)).reshape(-1, *centred.shape[1:])
+    product *= (2.0 / (n_shapes - 1) * weights)[:, None]
+    return np.asarray(product)
+
+
+def weight_adjoint(centred: Floats, d_gram: Floats) -> Floats:
+    """Return the derivative of ``sum phi(lambda_m)`` in the weights, (n_P,)."""
+    n_shapes = len(centred)
+    product = (d_gram @ centred.reshape(n_shapes, -1)).reshape(centred.shape)
+    return np.asarray(np.einsum("ild,ild->l", product, centred) / (n_shapes - 1))

@@ -10,8 +10,9 @@ import numpy as np
 
 from ssmpipe.core.align.differentiable import align_to, align_to_adjoint
 from ssmpipe.core.arrays import Floats
+from ssmpipe.core.blocks import map_blocks
 from ssmpipe.core.correspondence.barrier import Barrier
-from ssmpipe.core.correspondence.covariance import Spectrum, spectral_adjoint, spectrum
+from ssmpipe.core.correspondence.covariance import Spectrum, centre, spectral_adjoint, spectrum, weight_adjoint
 from ssmpipe.core.correspondence.guides import Guides
 from ssmpipe.core.correspondence.jacobian import Jacobian, JacobianForm, largest_feasible_step
 from ssmpipe.core.correspondence.prior import bending_matrix
@@ -22,7 +23,7 @@ from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.spline.evaluate import Jet, SplineStack
 
 Covariance = Literal["discrete", "I", "II"]
-_SHAPES_AT_ONCE = 32
+_SHAPES_PER_BLOCK = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,14 +179,14 @@ class GroupObjective:
         if self.target is not None:
             aligned = [align_to(p, self.target, weights) for p in jet.points]
             points, rotations = np.stack([a[0] for a in aligned]), np.stack([a[1] for a in aligned])
-        spec = spectrum(points - points.mean(axis=0), weights)
+        spec = spectrum(centre(points, self.stack.threads), weights, self.stack.threads)
         evaluation = Evaluation(jet, points, rotations, slopes, weights, tangents, spec)
         self._last = (key, evaluation)
         return evaluation
 
     def spectral_value(self, x: Floats) -> float:
         """Return the spectral function alone."""
-        return self.spectral.value(self.evaluate(x).spectrum.eigenvalues)
+        return self.evaluate(x).spectrum.value(self.spectral)
 
     def smallest_jacobian(self, x: Floats) -> float:
         """Return the smallest coefficient of all Jacobians; in the Bernstein form a lower bound of ``det dD/du``."""
@@ -195,23 +196,33 @@ class GroupObjective:
         """Return the spectral function and its gradient in the unknowns, by the adjoint [2.20]."""
         evaluation = self.evaluate(x)
         jet = evaluation.jet
-        centred = evaluation.points - evaluation.points.mean(axis=0)
-        d_points, d_weights, _ = spectral_adjoint(centred, evaluation.weights, evaluation.spectrum, self.spectral.slope)
-        if self.target is not None:
-            per_shape = zip(jet.points, evaluation.rotations, d_points, strict=True)
-            d_points = np.stack([align_to_adjoint(p, self.target, evaluation.weights, r, d) for p, r, d in per_shape])
-        d_parameters = np.stack([np.einsum("ild,ild->il", d_points, s) for s in jet.first], axis=-1)
-        d_slopes: tuple[Floats, ...] = ()
+        centred = centre(evaluation.points, self.stack.threads)
+        d_gram = evaluation.spectrum.slope(self.spectral)
+        moving = self.moving
+        d_tangents: tuple[Floats, ...] = ()
+        through: Floats | None = None
         if self.covariance == "II":
+            d_weights = weight_adjoint(centred, d_gram)
             d_tangents = size_weights_adjoint(self._base, evaluation.mean_tangents, d_weights)
-            d_parameters = d_parameters + self._through_tangents(evaluation, d_tangents)
+            through = self._through_tangents(evaluation, d_tangents)
+
+        def pulled(block: slice) -> Floats:
+            d_points = spectral_adjoint(centred, evaluation.weights, d_gram, block)
+            if self.target is not None:
+                each = zip(jet.points[block], evaluation.rotations[block], d_points, strict=True)
+                d_points = np.stack([align_to_adjoint(p, self.target, evaluation.weights, r, d) for p, r, d in each])
+            d_parameters = np.stack([_dot(d_points, s[block]) for s in jet.first], axis=-1)
+            if through is not None:
+                d_parameters += through[block]
             d_slopes = tuple(
-                np.stack([np.einsum("ld,ild->il", d, s) for s in jet.first], axis=-1) / self.stack.n_shapes
+                np.stack([np.einsum("ld,ild->il", d, s[block]) for s in jet.first], axis=-1) / self.stack.n_shapes
                 for d in d_tangents
             )
-        moving = self.moving
-        pulled = self.reparameterization.pull_back(d_parameters[moving], tuple(d[moving] for d in d_slopes))
-        return self.spectral.value(evaluation.spectrum.eigenvalues), pulled[:, self._free].ravel()
+            return self.reparameterization.pull_back(d_parameters, d_slopes)
+
+        blocks = map_blocks(pulled, self.stack.n_shapes, _SHAPES_PER_BLOCK, self.stack.threads)
+        gradient = np.concatenate(blocks)[moving][:, self._free].ravel()
+        return evaluation.spectrum.value(self.spectral), gradient
 
     def _through_tangents(self, evaluation: Evaluation, d_tangents: tuple[Floats, ...]) -> Floats:
         """Return df/dD through ``dx/du_k = sum_c S_c(D) dD^c/du_k``: second derivatives of the splines."""
@@ -269,13 +280,11 @@ class GroupObjective:
         n_d = self.reparameterization.n_directions
         free = np.flatnonzero(self._free.ravel())
         diagonal = np.arange(len(free))
-        spec = evaluation.spectrum
-        slope = self.spectral.slope(spec.eigenvalues)
-        share = ((spec.vectors**2) * slope).sum(axis=1) * 2.0 / (len(coefficients) - 1)
+        share = np.diagonal(evaluation.spectrum.slope(self.spectral)) * (2.0 / (len(coefficients) - 1))
         bending = self.prior * np.kron(self._bending, np.eye(n_d))
-        inverses = np.empty((len(self.moving), len(free), len(free)))
-        for start in range(0, len(self.moving), _SHAPES_AT_ONCE):
-            chunk = self.moving[start : start + _SHAPES_AT_ONCE]
+
+        def inverted(part: slice) -> Floats:
+            chunk = self.moving[part]
             metric = np.empty((len(chunk), len(evaluation.weights), n_d, n_d))
             for a in range(n_d):
                 for b in range(n_d):
@@ -290,7 +299,9 @@ class GroupObjective:
             block = block[:, free[:, None], free]
             block[:, diagonal, diagonal] += 1e-8 * np.trace(block, axis1=1, axis2=2)[:, None] / len(free)
             inverse = np.linalg.inv(block)
-            inverses[start : start + len(chunk)] = 0.5 * (inverse + np.swapaxes(inverse, 1, 2))
+            return np.asarray(0.5 * (inverse + np.swapaxes(inverse, 1, 2)))
+
+        inverses = np.concatenate(map_blocks(inverted, len(self.moving), _SHAPES_PER_BLOCK, self.stack.threads))
 
         def apply(vector: Floats) -> Floats:
             return self._keep_gauge((inverses @ vector.reshape(len(inverses), -1, 1)).ravel())
@@ -324,8 +335,7 @@ class GroupObjective:
             first, second = tuple(s @ turns for s in first), tuple(s @ turns for s in second)
         centred = packed(evaluation.points - evaluation.points.mean(axis=0)).reshape(n_shapes, -1)
         tangents = [packed(s[moving]) for s in first]
-        vectors, slope = spec.vectors, self.spectral.slope(spec.eigenvalues)
-        d_gram = (vectors * slope) @ vectors.T
+        vectors, d_gram = spec.vectors, spec.slope(self.spectral)
         within = np.ascontiguousarray(d_gram[np.ix_(moving, moving)])
         differences = self.spectral.slope_differences(spec.eigenvalues)
         pulled = (d_gram[moving] @ centred).reshape(len(moving), d, n_p)

@@ -26,11 +26,14 @@ class SpectralFunction:
         Eigenvalues (n,) to ``phi'`` (n,).
     curvature : callable
         Eigenvalues (n,) to ``phi''`` (n,).
+    shift : float
+        Positive if ``f = log det(G + shift I)`` up to the null direction, which a Cholesky factor gives too.
     """
 
     value: Callable[[Floats], float]
     slope: Callable[[Floats], Floats]
     curvature: Callable[[Floats], Floats]
+    shift: float = 0.0
 
     def slope_differences(self, eigenvalues: Floats) -> Floats:
         """Return the (n, n) divided differences of ``phi'``, ``phi''`` where eigenvalues coincide (Daleckii and Krein 1965).
@@ -76,6 +79,7 @@ def spectral_function(name: Objective, lambda_cut: float) -> SpectralFunction:
             lambda values: float(np.log(np.maximum(values, 0.0) + lambda_cut).sum()),
             lambda values: np.asarray(1.0 / (np.maximum(values, 0.0) + lambda_cut)),
             lambda values: np.asarray(-1.0 / (np.maximum(values, 0.0) + lambda_cut) ** 2),
+            lambda_cut,
         )
     return SpectralFunction(
         lambda values: float(values.sum() / lambda_cut),

@@ -27,6 +27,22 @@ def available() -> bool:
     return find_spec("numba") is not None
 
 
+def _locate(parameters: Floats, n_spans: int, periodic: bool, index: Ints, local: Floats) -> None:
+    """Write span index and local coordinate in equal spans of the unit interval."""
+    for l in range(len(parameters)):
+        x = parameters[l]
+        if periodic:
+            x = x - np.floor(x)
+        scaled = x * n_spans
+        cell = int(scaled)
+        if cell < 0:
+            cell = 0
+        elif cell > n_spans - 1:
+            cell = n_spans - 1
+        index[l] = cell
+        local[l] = scaled - cell
+
+
 def _curves(blocks: Floats, index: Ints, t: Floats, point: Floats, first: Floats) -> None:
     """Evaluate (n_cells, p + 1, d) polynomials and their derivative in ``t`` at every point of one curve."""
     degree = blocks.shape[1] - 1
@@ -157,12 +173,20 @@ def _surfaces_second(
 @cache
 def kernel(n_directions: int, second: bool) -> Callable[..., Any]:
     """Return a compiled kernel; compiled once per machine where numba finds a place for its cache."""
+    return _build(((_curves, _curves_second), (_surfaces, _surfaces_second))[n_directions - 1][second])
+
+
+@cache
+def locator() -> Callable[..., Any]:
+    """Return the compiled search for spans."""
+    return _build(_locate)
+
+
+def _build(function: Callable[..., None]) -> Callable[..., Any]:
     import numba
 
-    def build(function: Callable[..., None]) -> Callable[..., Any]:
-        try:
-            return numba.njit(function, nogil=True, cache=True)
-        except RuntimeError:  # no folder for the cache
-            return numba.njit(function, nogil=True)
-
-    return build(((_curves, _curves_second), (_surfaces, _surfaces_second))[n_directions - 1][second])
+    try:
+        compiled: Callable[..., Any] = numba.njit(function, nogil=True, cache=True)
+    except RuntimeError:  # no folder for the cache
+        compiled = numba.njit(function, nogil=True)
+    return compiled

@@ -7,13 +7,13 @@ gather of ``(p+1)^d_par d`` numbers and a Horner scheme that yields the value an
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
 
 from ssmpipe.core.arrays import Floats, Ints
+from ssmpipe.core.blocks import map_blocks
 from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.spline import compiled
 from ssmpipe.core.spline.basis import design_matrix
@@ -23,6 +23,7 @@ from ssmpipe.core.spline.surface import BSplineSurface
 
 Spline: TypeAlias = BSplineCurve | BSplineSurface
 Evaluator = Literal["auto", "numpy", "numba"]
+_SHAPES_PER_BLOCK = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,17 +179,24 @@ class SplineStack:
             for target, values in zip(out, self._evaluate_one(i, parameters[i], second), strict=True):
                 target[i] = values
 
-        if self.threads > 1:
-            with ThreadPoolExecutor(self.threads) as pool:
-                list(pool.map(one, range(self.n_shapes)))
-        else:
-            for i in range(self.n_shapes):
+        def some(block: slice) -> None:
+            for i in range(block.start, block.stop):
                 one(i)
+
+        map_blocks(some, self.n_shapes, _SHAPES_PER_BLOCK, self.threads)
         return Jet(out[0], tuple(out[1 : 1 + n_d]), tuple(out[1 + n_d :]))
+
+    def _locate_compiled(self, axis: int, parameters: Floats) -> tuple[Ints, Floats, Floats]:
+        if not self._uniform[axis]:
+            return self._locate(axis, parameters)
+        n_spans = len(self._ends[axis]) - 1
+        index, local = np.empty(len(parameters), np.int64), np.empty((len(parameters), 1))
+        compiled.locator()(parameters, n_spans, self.periodic[axis], index, local[:, 0])
+        return index, local, np.array(float(n_spans))
 
     def _evaluate_compiled(self, i: int, parameters: Floats, out: list[Floats], second: bool) -> None:
         shape = (-1, *(p + 1 for p in self.degrees), self.dimension)
-        where = [self._locate(axis, parameters[:, axis]) for axis in range(self.n_directions)]
+        where = [self._locate_compiled(axis, parameters[:, axis]) for axis in range(self.n_directions)]
         index, blocks = where[0][0], self._blocks[i].reshape(shape)
         if self.n_directions == 2:
             index = index * (len(self._ends[1]) - 1) + where[1][0]

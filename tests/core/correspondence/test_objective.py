@@ -183,3 +183,17 @@ def test_local_normal_blocks_equal_the_dense_product(boundary):
     for block, one, k in zip(f.jacobian.normal_blocks(b, curvature), b, curvature, strict=True):
         rows = f.jacobian.rows(one)
         np.testing.assert_allclose(block, rows.T @ (k[:, None] * rows), atol=1e-10 * np.abs(block).max())
+
+
+@pytest.mark.parametrize("covariance", ["discrete", "II"])
+def test_any_number_of_threads_gives_the_same_bits(covariance):
+    results = []
+    for threads in (1, 2, 3):
+        f = objective(covariance, prior=0.1)
+        f.stack.threads = threads
+        x = f.start() + 0.005 * np.random.default_rng(1).normal(size=f.start().size)
+        value, gradient = f.value_and_gradient(x)
+        results.append(
+            (value, gradient.tobytes(), f.preconditioner(x)(gradient).tobytes(), f.hessian(x)(gradient).tobytes())
+        )
+    assert results[0] == results[1] == results[2]
