@@ -20,6 +20,7 @@ from ssmpipe.core.mesh.grid import grid_faces
 from ssmpipe.core.mesh.operators import adjacency, edge_lengths
 from ssmpipe.core.mesh.topology import boundary_loops, compact, euler_characteristic, unique_edges
 from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.core.outline.outline import edge_indices
 from ssmpipe.core.parameterize.boundary import rim_of, split_chords
 from ssmpipe.core.parameterize.sampling import sample_grid
 from ssmpipe.core.parameterize.stretch import parameterize_square
@@ -28,6 +29,7 @@ from ssmpipe.core.spline.fit import fit_surface
 from ssmpipe.io.landmarks import read_landmarks
 from ssmpipe.io.meshes import read_mesh
 from ssmpipe.io.splines import read_spline
+from ssmpipe.runner.presets import PRESETS
 
 
 @dataclass(frozen=True)
@@ -137,6 +139,32 @@ def aorta_walls(data: Path) -> Cohort:
     return Cohort(
         "12 synthetic aortas, a branch-free wall, shared vertices", "mm", splines, truth_error(np.array(truth))
     )
+
+
+def mouse_outlines(config: Path, data: Path, work: Path) -> Cohort:
+    """Closed outlines of mouse vertebrae with six expert landmarks each."""
+    out = work / "mice"
+    sets = [
+        f"input.scans={data}/contours/*.csv",
+        f"input.cohort={data}/cohort.csv",
+        f"input.landmarks={data}/landmarks.csv",
+    ]
+    run_to_fit(config, out, *sets)
+    ids, splines, matrices = fitted(out)
+    every = read_landmarks(data / "landmarks.csv")
+    marks = {i: {n: m[:2, :2] @ p + m[:2, 3] for n, p in every[i].items()} for i, m in zip(ids, matrices, strict=True)}
+    size = float(np.mean([np.linalg.norm(np.ptp(s.control_points, axis=0)) for s in splines]))
+
+    def error(points: np.ndarray, grid: tuple[int, ...]) -> tuple[float, float]:
+        edges = edge_indices(grid[0], True)
+        transfers = landmark_transfer(points, edges, ids, marks, max_distance=0.05 * size)
+        e = np.concatenate([t.off_diagonal() for t in transfers])
+        return float(e.mean()), float(np.percentile(e, 95))
+
+    optimize = dict(PRESETS["curve"].stages)["optimize"]
+    n_coefficients = tuple(optimize["n_coefficients"])
+    name = f"{len(ids)} outlines of mouse vertebrae, expert landmarks"
+    return Cohort(name, "units", splines, error, tuple(optimize["landmarks"]), n_coefficients, closed=True)
 
 
 def _largest_disk(mesh: TriMesh) -> np.ndarray:
