@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 from ssmpipe.core.evaluation.correspondence_error import correspondence_error
+from ssmpipe.core.mesh.distance import point_to_mesh
+from ssmpipe.io.meshes import read_mesh
 
 ROOT = Path(__file__).resolve().parents[2]
 COHORT = ROOT / "data_synthetic" / "femur_distal"
@@ -55,6 +57,7 @@ def test_correspondence_has_the_promised_arrays(result):
     }
     for name, shape in expected.items():
         assert result[name].shape == shape, name
+        assert result[name].dtype == (np.int64 if name in ("grid", "faces") else np.float64), name
     assert list(result["ids"]) == [f"femur_{k:02d}" for k in range(1, 7)]
     assert str(result["topology"]) == "disk"
     assert result["description_length"][1] < result["description_length"][0]
@@ -64,6 +67,15 @@ def test_scan_points_are_the_aligned_ones_moved_back(result):
     for points, scan, matrix in zip(result["points"], result["points_scan"], result["transform"], strict=True):
         np.testing.assert_allclose(scan @ matrix[:3, :3].T + matrix[:3, 3], points, atol=1e-9)
         assert abs(abs(np.linalg.det(matrix[:3, :3])) - 1) < 1e-12
+
+
+def test_points_of_every_scan_lie_on_it_also_when_it_was_mirrored(result):
+    sides = {row["id"]: row["side"] for row in csv.DictReader((COHORT / "cohort.csv").read_text().splitlines())}
+    for i, scan, matrix in zip(result["ids"], result["points_scan"], result["transform"], strict=True):
+        assert (np.linalg.det(matrix[:3, :3]) < 0) == (sides[str(i)] == "L"), i
+        distance = point_to_mesh(scan, read_mesh(COHORT / "scans" / f"{i}.ply"))[0]
+        assert distance.max() < 1.0, i
+    assert set(sides.values()) == {"L", "R"}
 
 
 def test_the_error_against_the_truth_is_halved(result):
