@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -79,6 +80,11 @@ def _errors(debug: bool, store: Path | None = None) -> Iterator[None]:
     except KeyboardInterrupt:
         click.echo("interrupted; what is finished is kept, run the same command again to go on", err=True)
         sys.exit(130)
+    except BrokenPipeError:  # `ssmpipe ... | head`: whoever reads has seen enough
+        with open(os.devnull, "w") as sink:
+            for stream in (sys.stdout, sys.stderr):
+                os.dup2(sink.fileno(), stream.fileno())
+        sys.exit(141)
     except ConfigError as error:
         if debug:
             raise

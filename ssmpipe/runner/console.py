@@ -13,13 +13,20 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from ssmpipe.runner.batch import COHORT, Event
 
 
+class _Pipe(RichConsole):
+    """Leaves a closed pipe (``| head``) to the command line, which knows the exit code."""
+
+    def on_broken_pipe(self) -> None:
+        raise BrokenPipeError
+
+
 class Console:
     """Lines and progress; ``verbosity`` is -1 (only errors), 0, 1 (every task) or 2 (with reasons)."""
 
     def __init__(self, verbosity: int = 0) -> None:
         self.verbosity = verbosity
-        self.out = RichConsole(highlight=False, markup=False, soft_wrap=True, file=sys.stdout)
-        self.err = RichConsole(highlight=False, markup=False, soft_wrap=True, file=sys.stderr)
+        self.out = _Pipe(highlight=False, markup=False, soft_wrap=True, file=sys.stdout)
+        self.err = _Pipe(highlight=False, markup=False, soft_wrap=True, file=sys.stderr)
         self._bar: Progress | None = None
         self._task: Any = None
         self._last = time.monotonic()
@@ -40,7 +47,7 @@ class Console:
 
     def table(self, table: Any) -> None:
         """Print a rich table; wide ones are not cut when the output is a file."""
-        console = self.out if self.out.is_terminal else RichConsole(file=sys.stdout, width=200, highlight=False)
+        console = self.out if self.out.is_terminal else _Pipe(file=sys.stdout, width=200, highlight=False)
         console.print(table)
 
     def __enter__(self) -> Console:

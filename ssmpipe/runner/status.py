@@ -63,7 +63,8 @@ def print_status(tasks: Sequence[TaskStatus], project: Project, console: Console
     """Print a table with a row per stage, or JSON with a row per task."""
     if as_json:
         print(
-            json.dumps({"output": str(project.out), "tasks": [asdict(t) for t in tasks]}, indent=1, ensure_ascii=False)
+            json.dumps({"output": str(project.out), "tasks": [asdict(t) for t in tasks]}, indent=1, ensure_ascii=False),
+            flush=True,
         )
         return
     from rich.table import Table as RichTable

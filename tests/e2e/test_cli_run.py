@@ -178,6 +178,19 @@ def test_interrupt_gives_130_and_keeps_what_is_done(write_config: Callable[..., 
         assert sorted(p.name for p in (config.parent / "out/shapes").iterdir()) == ["a", "b", "c"]
 
 
+@pytest.mark.parametrize("command", [["run"], ["run", "-n"], ["status"], ["status", "--json"], ["check"], ["schema"]])
+def test_a_closed_pipe_ends_it_quietly(config: Path, command: list[str]) -> None:
+    arguments = [*command, *([] if command == ["schema"] else [str(config)])]
+    env = {**os.environ, "SSMPIPE_STAGES": str(TOY)}
+    reader, writer = os.pipe()
+    os.close(reader)
+    with open(writer, "wb") as closed:
+        done = subprocess.run(
+            [sys.executable, "-m", "ssmpipe", *arguments], env=env, stdout=closed, stderr=subprocess.PIPE, timeout=60
+        )
+    assert (done.returncode, done.stderr) == (141, b"")
+
+
 def test_init_writes_a_config_that_loads(call: Call, scans: Path, tmp_path: Path) -> None:
     (tmp_path / "cohort.csv").write_text("id,side\na,L\nb,R\nc,R\nd,L\n")
     for anatomy in ("femur-distal", "disk"):
