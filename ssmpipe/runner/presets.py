@@ -68,7 +68,7 @@ PRESETS: Mapping[str, Preset] = {
                 ("orient", {"mirror": "none", "frame": "principal"}),
                 ("smooth", {}),
                 ("decimate", {}),
-                ("align", {}),
+                ("align", {"check_mirror": False}),
                 ("parameterize", {"corner_axes": "aligned"}),
                 ("sample", {}),
                 ("fit", {}),

@@ -79,15 +79,15 @@ def run(
         )
     if result.start != "identity":
         ctx.warn(
-            f"the pose given by orient was replaced (start {result.start}: {result.cost:.3g} mm instead of "
-            f"{result.identity_cost:.3g} mm, turned {rotation_angle(result.matrix):.0f} degrees); check the frame of this shape"
+            f"the pose given by orient was replaced (start {result.start}: distance {result.cost:.3g} instead of "
+            f"{result.identity_cost:.3g}, turned {rotation_angle(result.matrix):.0f} degrees); check the frame of this shape"
         )
     if cfg.check_mirror:
         better, mirrored = fits_better_mirrored(mesh, reference, result)
         ctx.metric("mirrored_cost_mm", mirrored)
         if better:
             ctx.warn(
-                f"the shape fits better mirrored ({mirrored:.3g} mm instead of {result.cost:.3g} mm): wrong side label? "
+                f"the shape fits better mirrored (distance {mirrored:.3g} instead of {result.cost:.3g}): wrong side label? "
                 "look at the side column of the cohort table"
             )
     return {"mesh": aligned, "landmarks": marks.transformed(result.matrix), "transform": result.matrix @ transform}

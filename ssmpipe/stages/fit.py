@@ -54,7 +54,7 @@ def run(*, samples: Floats, mesh: TriMesh, cfg: Config, ctx: Context) -> dict[st
     rms = max(ctx.metrics["mesh_to_spline_rms_mm"], ctx.metrics["spline_to_mesh_rms_mm"])
     if rms > cfg.max_rms * size:
         ctx.warn(
-            f"the spline is {rms:.3g} mm RMS away from the mesh ({100 * rms / size:.2f} % of its size); "
+            f"the spline is {rms:.3g} RMS away from the mesh ({100 * rms / size:.2f} % of its size); "
             "raise fit.n_control and sample.grid, or look at the parameterization"
         )
     return {"surface": surface}

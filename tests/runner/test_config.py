@@ -135,6 +135,12 @@ def test_presets_run_with_the_stages_that_exist(tmp_path: Path, scans: Path, reg
         assert [i for i, _ in preset(tmp_path, registry, "[]", name)] == [stage for stage, _ in one.stages]
 
 
+def test_disks_have_no_sides(tmp_path: Path, scans: Path, registry: Registry) -> None:
+    assert dict(preset(tmp_path, registry, "[]", "disk"))["align"]["check_mirror"] is False
+    assert dict(preset(tmp_path, registry, "[{align: {check_mirror: true}}]", "disk"))["align"]["check_mirror"] is True
+    assert dict(preset(tmp_path, registry, "[]"))["align"]["check_mirror"] is True
+
+
 def test_merge_skip_and_insert(tmp_path: Path, scans: Path, registry: Registry) -> None:
     text = "[{decimate: {n_faces: 5000}}, {smooth: {skip: true}}, {grow: {after: repair}}, {grow: {id: again, after: fit}}]"
     steps = preset(tmp_path, registry, text)

@@ -185,11 +185,13 @@ class TestAlign:
         assert outputs["landmarks"].points["p"] == pytest.approx(np.ones(3), abs=1e-2)
         assert ctx.metrics["rms_mm"] < 1e-3
         assert "pose given by orient was replaced" in ctx.warnings[0]
+        assert " mm" not in ctx.warnings[0]  # with units none they are not mm
 
     def test_wrong_side_warns(self):
         reference, _ = self.prepared()
         _, ctx = go(align, mesh=move(reference, reflection()), landmarks=None, transform=np.eye(4), reference=reference)
         assert any("fits better mirrored" in w and "wrong side label?" in w for w in ctx.warnings)
+        assert not any(" mm" in w for w in ctx.warnings)
 
 
 class TestParameterizeAndSample:
