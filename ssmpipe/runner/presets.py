@@ -72,7 +72,8 @@ PRESETS: Mapping[str, Preset] = {
                 ("parameterize", {"corner_axes": "aligned"}),
                 ("sample", {}),
                 ("fit", {}),
-                *_GROUP,
+                ("optimize", {"boundary": "sliding"}),
+                *_GROUP[1:],
             ),
         ),
         Preset(

@@ -156,10 +156,14 @@ def test_modes_needed_for_a_share_of_the_variance() -> None:
     assert [summary.modes_for(data(model=model), share) for share in (0.5, 0.8, 0.9, 0.95, 1.0)] == [1, 1, 2, 3, 4]
 
 
-@pytest.mark.parametrize("name", sorted(module.name for module in pkgutil.iter_modules(ssmpipe.stages.__path__)))
+STAGES = sorted(m.name for m in pkgutil.iter_modules(ssmpipe.stages.__path__) if not m.name.startswith("_"))
+
+
+@pytest.mark.parametrize("name", STAGES)
 def test_every_key_that_a_stage_cites_is_in_the_bibliography(name: str) -> None:
     stage = importlib.import_module(f"ssmpipe.stages.{name}").STAGE
-    assert set(stage.cites) <= set(REFERENCES)
+    for each in (stage, *stage.variants):
+        assert set(each.cites) <= set(REFERENCES)
 
 
 def test_the_bundle_carries_the_licence_and_cannot_end_its_element() -> None:
