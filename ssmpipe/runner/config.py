@@ -182,12 +182,10 @@ def load_project(path: Path, overrides: Sequence[str] = (), registry: Registry |
         available |= set(KINDS["outline" if planar else "mesh"])
     prepared: list[Step] = []
     for entry in entries:
-        step = _step(entry, available, document, registry, base, problems)
+        step = _step(entry, available, document, registry, base, problems, ids={s.id for s in sources})
         if step is not None:
             prepared.append(step)
             available |= {port.slot for port in step.stage.outputs}
-    if sources:
-        problems += [text for step in prepared for text in _unknown_shapes(step, sources, entries, document)]
     problems += later
     if kinds and not problems:
         prepared = _enter(prepared, kinds)
@@ -226,21 +224,22 @@ def _too_few(config: RunConfig, plan: Plan, document: Document, n: int) -> list[
     ]
 
 
-def _unknown_shapes(step: Step, sources: Sequence[Source], entries: Sequence[_Entry], document: Document) -> list[str]:
-    """Return a problem for every option of a step that names a shape which does not exist."""
-    ids = {source.id for source in sources}
-    loc = next(entry.loc for entry in entries if entry.id == step.id)
-    at = loc if loc != ("anatomy",) else ("stages", step.id)
+def _unknown_shapes(
+    stage: Stage, options: Mapping[str, Any], files: Mapping[str, Any], at: Loc, ids: set[str], document: Document
+) -> list[str]:
+    """Return a problem for every option of a stage that names a shape which does not exist."""
     found = []
-    for name, field in step.stage.config.model_fields.items():
-        value = step.options.get(name)
-        for mark in field.metadata:
-            if isinstance(mark, NamesShape) and name not in step.files and value not in ids | set(mark.words):
-                is_file = any(port.slot == name for port in step.stage.prepared)
-                found.append(
-                    f"{document.where((*at, name))}: {'.'.join(map(str, (*at, name)))}: there is no shape"
-                    f"{' or file' if is_file else ''} '{value}'{did_you_mean(str(value), ids | set(mark.words))}"
-                )
+    for name, value in options.items():
+        field = stage.config.model_fields.get(name)
+        for mark in field.metadata if field is not None else ():
+            if isinstance(mark, NamesShape) and isinstance(value, str) and name not in files:
+                known = ids | set(mark.words)
+                kind = "shape or file" if any(port.slot == name for port in stage.prepared) else "shape"
+                if value not in known:
+                    found.append(
+                        f"{document.where((*at, name))}: {'.'.join(map(str, (*at, name)))}: there is no {kind} '{value}'"
+                        f"{did_you_mean(value, known)}"
+                    )
     return found
 
 
@@ -492,7 +491,13 @@ def _check_reserved(extra: Mapping[str, Any]) -> tuple[str, str] | None:
 
 
 def _step(
-    entry: _Entry, available: set[str], document: Document, registry: Registry, base: Path, problems: list[str]
+    entry: _Entry,
+    available: set[str],
+    document: Document,
+    registry: Registry,
+    base: Path,
+    problems: list[str],
+    ids: set[str],
 ) -> Step | None:
     try:
         stage = registry.load(entry.stage).suiting(available)
@@ -504,6 +509,8 @@ def _step(
     files = _prepared_files(stage, options, base)
     at = entry.loc if entry.loc != ("anatomy",) else ("stages", entry.id)
     config = _validated(stage.config, options, at, document, problems)
+    if ids:
+        problems += _unknown_shapes(stage, options, files, at, ids, document)
     for slot in entry.sources:
         if slot not in {port.slot for port in stage.inputs}:
             problems.append(

@@ -134,7 +134,7 @@ class Config(StageConfig):
         least = info.data.get("degree", _DEFAULT.degree) + 2
         if len(counts) not in (1, 2) or min(counts) < least:
             raise ValueError(
-                f"optimize.n_coefficients needs one number (curves) or two (surfaces), each at least degree + 2 = {least}; "
+                f"needs one number (curves) or two (surfaces), each at least degree + 2 = {least}; "
                 "raise it, or lower optimize.degree"
             )
         return counts
@@ -143,9 +143,7 @@ class Config(StageConfig):
     @classmethod
     def _enough_landmarks(cls, counts: tuple[int, ...], info: ValidationInfo) -> tuple[int, ...]:
         if len(counts) not in (1, 2) or min(counts) < 3:
-            raise ValueError(
-                "optimize.landmarks needs one number (curves) or two (surfaces), each at least 3; raise it"
-            )
+            raise ValueError("needs one number (curves) or two (surfaces), each at least 3; raise it")
         directions = len(info.data.get("n_coefficients", counts))
         if len(counts) != directions:
             raise ValueError(

@@ -305,6 +305,8 @@ def test_references_of_the_real_stages(problems: Callable[..., list[str]]) -> No
         "c.yaml:6: stages.0.align.reference: there is no shape or file 'medoit'; did you mean 'medoid'?",
         "c.yaml:8: stages.1.optimize.reference: there is no shape 'nearest-to-men'; did you mean 'nearest-to-mean'?",
     ]
+    found = problems(head + "  - align: {reference: x, n_points: 1}\n")
+    assert [p.split(": ")[1] for p in found] == ["stages.0.align.n_points", "stages.0.align.reference"]
     assert problems(head + "  - align: {reference: a}\n  - optimize: {reference: none}\n") == []
 
 
@@ -313,15 +315,15 @@ def test_references_of_the_real_stages(problems: Callable[..., list[str]]) -> No
     [
         (
             "n_coefficients: [3, 8]",
-            "optimize.n_coefficients needs one number (curves) or two (surfaces), each at least ",
+            "optimize.n_coefficients: needs one number (curves) or two (surfaces), each at least ",
         ),
         (
             "n_coefficients: [6, 6], degree: 5",
             "each at least degree + 2 = 7; raise it, or lower optimize.degree (got [6, 6])",
         ),
-        ("n_coefficients: []", "optimize.n_coefficients needs one number"),
-        ("landmarks: [51, 2]", "optimize.landmarks needs one number (curves) or two (surfaces), each at least 3"),
-        ("landmarks: [9, 9, 9]", "optimize.landmarks needs one number"),
+        ("n_coefficients: []", "optimize.n_coefficients: needs one number"),
+        ("landmarks: [51, 2]", "optimize.landmarks: needs one number (curves) or two (surfaces), each at least 3"),
+        ("landmarks: [9, 9, 9]", "optimize.landmarks: needs one number"),
         ("n_coefficients: [12]", "optimize.landmarks has 2 numbers and optimize.n_coefficients has 1; give both one"),
     ],
 )
