@@ -45,6 +45,21 @@ FACTORS: dict[str, list[tuple[str, dict]]] = {
     "objective": [(o, {"objective": o}) for o in ("description-length", "log-determinant", "trace")],
 }
 
+READING = """
+## What it says
+
+- Linear maps are worth removing inside the objective where shapes differ in size and proportion (all femora); on the outlines
+  it costs about 3 %.
+- Prior and barrier: flat over two decades, so that the defaults need no tuning; too much of either forbids the motion that is
+  needed where shapes differ a lot (B, C). On D, whose shared vertices are nearly in correspondence at the start, any motion
+  is mostly wrong and everything that holds the maps back helps. No value serves both; the defaults sit where the plateau ends.
+- lambda_cut: from a hundredth to a hundred times the automatic value surfaces change by 3 % at most; outlines do change, and the
+  automatic value is the best for them.
+- Formulation II costs 1 to 7 % except on D; maps without a reference and the log-determinant are within 4 %. Refining the poses only
+  once, before the optimization, loses on the synthetic femora.
+- Sliding boundaries are better on every surface cohort, by 1 to 5 %: a candidate for the default where all sides of a patch are cuts.
+"""
+
 
 def options_for(cohort: study_cohorts.Cohort, change: dict) -> EngineOptions:
     change = dict(change)
@@ -121,17 +136,24 @@ def main() -> None:
         ]
     lines += [
         "",
-        "| option | value | " + " | ".join(chr(65 + k) for k in range(len(cohorts))) + " |",
-        "|---|---|" + "---|" * len(cohorts),
+        "| option | value | " + " | ".join(chr(65 + k) for k in range(len(cohorts))) + " | against the default |",
+        "|---|---|" + "---|" * (len(cohorts) + 1),
     ]
     for factor, variants in FACTORS.items():
         for label, change in variants:
             cells = []
+            ratio = np.exp(np.mean([np.log(result(c, change)[0] / result(c, {})[0]) for c in cohorts]))
             for c in cohorts:
                 mark = "**" if options_for(c, change) == options_for(c, {}) else ""
                 cells.append(f"{mark}{result(c, change)[0]:.3f}{mark}")
-            lines.append(f"| {factor} | {label} | " + " | ".join(cells) + " |")
-    lines += ["", "Bold: the default.", "", "![Error against each option](figures/defaults.png)", ""]
+            lines.append(f"| {factor} | {label} | " + " | ".join([*cells, f"{ratio:.3f}"]) + " |")
+    lines += [
+        "",
+        "Bold: the default. Last column: geometric mean over the cohorts of error / error with the defaults.",
+        READING,
+        "![Error against each option](figures/defaults.png)",
+        "",
+    ]
     (HERE / "defaults.md").write_text("\n".join(lines), encoding="utf-8")
     figure, axes = plt.subplots(2, 5, figsize=(17, 6.4), sharey=True)
     for axis, (factor, variants) in zip(axes.ravel(), FACTORS.items(), strict=True):
@@ -147,7 +169,7 @@ def main() -> None:
         axis.set_ylim(0, 1.1)
     axes[0, 0].set_ylabel("error / error at the start")
     axes[1, 0].set_ylabel("error / error at the start")
-    axes[0, 0].legend(frameon=False)
+    axes[0, 0].legend(frameon=False, loc="lower center", ncol=5, fontsize=8, columnspacing=0.8, handlelength=1.0)
     figure.tight_layout()
     (HERE / "figures").mkdir(exist_ok=True)
     figure.savefig(HERE / "figures" / "defaults.png", dpi=90, metadata={"Software": None})
