@@ -240,7 +240,8 @@ class _Run:
             report = self._report(totals)
         self._write_run(totals)
         ok = [i for i in self.chosen.shapes if i not in self.failures]
-        if self.failures and self.exit_code == OK:
+        unproved = any(record.metrics.get("unproved") for record in self.records.values())
+        if (self.failures or unproved) and self.exit_code == OK:
             self.exit_code = QUARANTINED
         if self.exit_code == OK:
             shutil.rmtree(self.workspace.scratch, ignore_errors=True)
