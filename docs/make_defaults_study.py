@@ -55,7 +55,7 @@ READING = """
   is mostly wrong and everything that holds the maps back helps. No value serves both; the defaults sit where the plateau ends.
 - lambda_cut: from a hundredth to a hundred times the automatic value surfaces change by 3 % at most; outlines do change, and the
   automatic value is the best for them.
-- Formulation II costs 1 to 7 % except on D; maps without a reference and the log-determinant are within 4 %. Refining the poses only
+- Formulation II costs up to 7 % except on D; maps without a reference and the log-determinant are within 5 %. Refining the poses only
   once, before the optimization, loses on the synthetic femora.
 - Sliding boundaries are better on every surface cohort, by 1 to 5 %: a candidate for the default where all sides of a patch are cuts.
 """

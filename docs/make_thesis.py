@@ -183,7 +183,7 @@ def box_bump(work: Path) -> tuple[Rows, str]:
     for i, points in enumerate(points_at(run.splines, np.repeat(u[None, :, None], 4, axis=0))):
         axes[0, 0].plot(*points.T, color=COLOURS[i], lw=1, label=f"shape {i + 1}")
     bare(axes[0, 0], "four boxes (2.5)")
-    axes[0, 0].legend(fontsize=7, frameon=False, loc="center")
+    axes[0, 0].legend(fontsize=7, frameon=False, loc="lower center")
     for axis, (label, coefficients) in zip(
         (axes[0, 1], axes[0, 2], axes[1, 0], axes[1, 1]),
         (
@@ -492,14 +492,15 @@ then 0.001), lambda_cut from 3e-5 to 20, the trace as objective. Two conditions 
 - nothing holds the maps in common. A fixed reference keeps its own landmarks on its own bump, and the other shapes follow;
   holding the mean of all D does the same on average. The engine offers these two and no other, so a common drift of all
   maps, which formulation I rewards and formulation II does not, cannot happen;
-- lambda_cut is not small. With 3e-5 it pays to shrink the last two modes by better correspondence, however small they are. With 1 they
-  have little left to give, and the first mode is shrunk by leaving the bump. By the printed rule [1.13] it is {rule:.2f} here, on the border:
-  runs that differ only by rounding left 6 and 9 landmarks on every bump.
+- lambda_cut is not small. With 3e-5 it pays to shrink the last two modes by better correspondence, however small they are. With 1
+  they have little left to give, and the first mode is shrunk by leaving the bump. By the printed rule [1.13] it is {rule:.2f} here, on the
+  border: runs that differ only by rounding left 6 and 9 landmarks on every bump.
 
 With nothing fixed (a variant inside this script, not in the engine) and a lambda_cut of 1 formulation I leaves three landmarks on
 the bumps, with maps flat at both ends as in figure 3.12 c, and hardly improves the correspondence; formulation II keeps
-them and improves it. Whether the thesis moved all shapes in this example it does not say. Features carried from shape to shape miss by {start_error:.2f} at the start. Landmarks on the bump of shapes 1 to 4,
-{", ".join(map(str, began))} at the start:
+them and improves it. Whether the thesis moved all shapes in this example it does not say. Features carried from shape to
+shape miss by {start_error:.2f} at the start. Landmarks on the bump of shapes 1 to 4, {", ".join(map(str, began))}
+at the start:
 
 {chr(10).join(lines)}
 
