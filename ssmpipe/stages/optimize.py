@@ -122,6 +122,10 @@ class Config(StageConfig):
         Literal["adjoint", "direct", "finite-difference"],
         Field(description="Gradient; the last two are slow, for comparison."),
     ] = _DEFAULT.sensitivity
+    solver: Annotated[
+        Literal["quasi-newton", "newton"],
+        Field(description="newton: exact second derivatives; more time per iteration, deeper where the problem is hard."),
+    ] = _DEFAULT.solver
     max_iterations: Annotated[int, Field(ge=1, description="Iterations per round.")] = _DEFAULT.max_iterations
     relative_decrease: Annotated[
         float,

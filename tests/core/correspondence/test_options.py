@@ -47,6 +47,7 @@ def closed_curve(shift: float, phase: float, n: int = 40) -> BSplineCurve:
         {"pose": "procrustes", "normalize": "size"},
         {"degree": 3},
         {"pose": "each-evaluation"},
+        {"solver": "newton"},
         {"sensitivity": "direct"},
     ],
     ids=str,
