@@ -124,7 +124,9 @@ class Config(StageConfig):
     ] = _DEFAULT.sensitivity
     solver: Annotated[
         Literal["quasi-newton", "newton"],
-        Field(description="newton: exact second derivatives; more time per iteration, deeper where the problem is hard."),
+        Field(
+            description="newton: exact second derivatives; more time per iteration, deeper where the problem is hard."
+        ),
     ] = _DEFAULT.solver
     max_iterations: Annotated[int, Field(ge=1, description="Iterations per round.")] = _DEFAULT.max_iterations
     relative_decrease: Annotated[
