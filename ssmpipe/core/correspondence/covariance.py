@@ -14,7 +14,7 @@ from ssmpipe.core.correspondence.spectral import SpectralFunction
 
 CHOLESKY_FROM = 200
 """Number of shapes from which the log-determinant is computed without eigenvalues."""
-_LANDMARKS_PER_BLOCK = 512
+LANDMARKS_PER_BLOCK = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ def centre(points: Floats, threads: int = 1) -> Floats:
         part = points[:, block]
         np.subtract(part, part.mean(axis=0), out=out[:, block])
 
-    map_blocks(one, points.shape[1], _LANDMARKS_PER_BLOCK, threads)
+    map_blocks(one, points.shape[1], LANDMARKS_PER_BLOCK, threads)
     return out
 
 
@@ -92,13 +92,13 @@ def spectrum(centred: Floats, weights: Floats, threads: int = 1) -> Spectrum:
         return np.asarray(flat @ flat.T)
 
     gram = np.zeros((n_shapes, n_shapes))
-    for part in map_blocks(one, centred.shape[1], _LANDMARKS_PER_BLOCK, threads):
+    for part in map_blocks(one, centred.shape[1], LANDMARKS_PER_BLOCK, threads):
         gram += part
     return Spectrum(gram)
 
 
 def spectral_adjoint(centred: Floats, weights: Floats, d_gram: Floats, block: slice = slice(None)) -> Floats:
-    """Return the derivative of ``sum phi(lambda_m)`` in the points of some shapes, at fixed weights, (n, n_P, d).
+    """Return the derivative of ``sum phi(lambda_m)`` in some landmarks of all shapes, at fixed weights, (n_S, n, d).
 
     It is the closed solution ``mu_m = phi'(lambda_m) v_m`` of the adjoint system [2.20].
 
@@ -109,11 +109,12 @@ def spectral_adjoint(centred: Floats, weights: Floats, d_gram: Floats, block: sl
     d_gram : (n_S, n_S)
         ``V diag(phi') V^T``.
     block : slice, optional
-        Shapes; all by default.
+        Landmarks; all by default.
     """
     n_shapes = len(centred)
-    product = (d_gram[block] @ centred.reshape(n_shapes, -1)).reshape(-1, *centred.shape[1:])
-    product *= (2.0 / (n_shapes - 1) * weights)[:, None]
+    part = centred[:, block]
+    product = (d_gram @ part.reshape(n_shapes, -1)).reshape(len(d_gram), *part.shape[1:])
+    product *= (2.0 / (n_shapes - 1) * weights[block])[:, None]
     return np.asarray(product)
 
 

@@ -12,7 +12,14 @@ from ssmpipe.core.align.differentiable import align_to, align_to_adjoint
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.blocks import map_blocks
 from ssmpipe.core.correspondence.barrier import Barrier
-from ssmpipe.core.correspondence.covariance import Spectrum, centre, spectral_adjoint, spectrum, weight_adjoint
+from ssmpipe.core.correspondence.covariance import (
+    LANDMARKS_PER_BLOCK,
+    Spectrum,
+    centre,
+    spectral_adjoint,
+    spectrum,
+    weight_adjoint,
+)
 from ssmpipe.core.correspondence.guides import Guides
 from ssmpipe.core.correspondence.jacobian import Jacobian, JacobianForm, largest_feasible_step
 from ssmpipe.core.correspondence.prior import bending_matrix
@@ -206,21 +213,31 @@ class GroupObjective:
             d_tangents = size_weights_adjoint(self._base, evaluation.mean_tangents, d_weights)
             through = self._through_tangents(evaluation, d_tangents)
 
-        def pulled(block: slice) -> Floats:
+        d_parameters = np.empty((*jet.points.shape[:2], len(jet.first)))
+
+        def by_landmarks(block: slice) -> None:
             d_points = spectral_adjoint(centred, evaluation.weights, d_gram, block)
+            for c, tangent in enumerate(jet.first):
+                np.einsum("ild,ild->il", d_points, tangent[:, block], out=d_parameters[:, block, c])
+
+        def by_shapes(block: slice) -> Floats:
             if self.target is not None:
+                d_points = spectral_adjoint(centred, evaluation.weights, d_gram[block])
                 each = zip(jet.points[block], evaluation.rotations[block], d_points, strict=True)
                 d_points = np.stack([align_to_adjoint(p, self.target, evaluation.weights, r, d) for p, r, d in each])
-            d_parameters = np.stack([_dot(d_points, s[block]) for s in jet.first], axis=-1)
+                d_parameters[block] = np.stack([_dot(d_points, s[block]) for s in jet.first], axis=-1)
             if through is not None:
-                d_parameters += through[block]
+                d_parameters[block] += through[block]
             d_slopes = tuple(
                 np.stack([np.einsum("ld,ild->il", d, s[block]) for s in jet.first], axis=-1) / self.stack.n_shapes
                 for d in d_tangents
             )
-            return self.reparameterization.pull_back(d_parameters, d_slopes)
+            return self.reparameterization.pull_back(d_parameters[block], d_slopes)
 
-        blocks = map_blocks(pulled, self.stack.n_shapes, _SHAPES_PER_BLOCK, self.stack.threads)
+        threads = self.stack.threads
+        if self.target is None:
+            map_blocks(by_landmarks, centred.shape[1], LANDMARKS_PER_BLOCK, threads)
+        blocks = map_blocks(by_shapes, self.stack.n_shapes, _SHAPES_PER_BLOCK, threads)
         gradient = np.concatenate(blocks)[moving][:, self._free].ravel()
         return evaluation.spectrum.value(self.spectral), gradient
 

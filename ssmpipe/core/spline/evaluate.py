@@ -129,7 +129,7 @@ class SplineStack:
         self._ends = tuple(breakpoints(k) for k in first.knot_vectors)
         self._uniform = tuple(bool(np.allclose(np.diff(e), e[1] - e[0], rtol=1e-12, atol=0)) for e in self._ends)
         polynomials = [_span_polynomials(k, p) for k, p in zip(first.knot_vectors, first.degrees, strict=True)]
-        self._blocks = [self._cells(s.control_points, polynomials) for s in splines]
+        self._blocks = np.stack([self._cells(s.control_points, polynomials) for s in splines])
         if evaluator == "auto":
             evaluator = "numba" if compiled.available() else "numpy"
         self.evaluator = evaluator
@@ -172,44 +172,37 @@ class SplineStack:
         count = 1 + n_d + (n_d * (n_d + 1) // 2 if second else 0)
         out = [np.empty((self.n_shapes, parameters.shape[1], self.dimension)) for _ in range(count)]
 
-        def one(i: int) -> None:
-            if self.evaluator == "numba":
-                self._evaluate_compiled(i, parameters[i], out, second)
-                return
-            for target, values in zip(out, self._evaluate_one(i, parameters[i], second), strict=True):
-                target[i] = values
-
         def some(block: slice) -> None:
+            if self.evaluator == "numba":
+                self._evaluate_compiled(block, parameters[block], out, second)
+                return
             for i in range(block.start, block.stop):
-                one(i)
+                for target, values in zip(out, self._evaluate_one(i, parameters[i], second), strict=True):
+                    target[i] = values
 
         map_blocks(some, self.n_shapes, _SHAPES_PER_BLOCK, self.threads)
         return Jet(out[0], tuple(out[1 : 1 + n_d]), tuple(out[1 + n_d :]))
 
     def _locate_compiled(self, axis: int, parameters: Floats) -> tuple[Ints, Floats, Floats]:
+        """Return span index, local coordinate and 1 / span length, (n, n_P) each."""
         if not self._uniform[axis]:
-            return self._locate(axis, parameters)
+            index, local, inverse = self._locate(axis, parameters.ravel())
+            shape = parameters.shape
+            return index.reshape(shape), local.reshape(shape), np.broadcast_to(inverse.reshape(shape), shape)
         n_spans = len(self._ends[axis]) - 1
-        index, local = np.empty(len(parameters), np.int64), np.empty((len(parameters), 1))
-        compiled.locator()(parameters, n_spans, self.periodic[axis], index, local[:, 0])
-        return index, local, np.array(float(n_spans))
+        index, local = np.empty(parameters.shape, np.int64), np.empty(parameters.shape)
+        compiled.locator()(parameters, n_spans, self.periodic[axis], index, local)
+        return index, local, np.broadcast_to(np.array(float(n_spans)), parameters.shape)
 
-    def _evaluate_compiled(self, i: int, parameters: Floats, out: list[Floats], second: bool) -> None:
-        shape = (-1, *(p + 1 for p in self.degrees), self.dimension)
-        where = [self._locate_compiled(axis, parameters[:, axis]) for axis in range(self.n_directions)]
-        index, blocks = where[0][0], self._blocks[i].reshape(shape)
+    def _evaluate_compiled(self, block: slice, parameters: Floats, out: list[Floats], second: bool) -> None:
+        shape = (*self._blocks.shape[:2], *(p + 1 for p in self.degrees), self.dimension)
+        where = [self._locate_compiled(axis, parameters[..., axis]) for axis in range(self.n_directions)]
+        index = where[0][0]
         if self.n_directions == 2:
             index = index * (len(self._ends[1]) - 1) + where[1][0]
+        places = [array for w in where for array in w[1:]]
         run = compiled.kernel(self.n_directions, second)
-        run(blocks, index, *(w[1][:, 0] for w in where), *(o[i] for o in out))
-        scales = [w[2] for w in where]
-        for axis, scale in enumerate(scales):
-            out[1 + axis][i] *= scale
-        if second and self.n_directions == 1:
-            out[2][i] *= scales[0] ** 2
-        elif second:
-            for target, scale in zip(out[3:], (scales[0] ** 2, scales[0] * scales[1], scales[1] ** 2), strict=True):
-                target[i] *= scale
+        run(self._blocks.reshape(shape)[block], index, *places, *(o[block] for o in out))
 
     def _evaluate_one(self, i: int, parameters: Floats, second: bool) -> list[Floats]:
         order = 2 if second else 1

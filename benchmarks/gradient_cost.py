@@ -1,0 +1,53 @@
+"""One gradient of 34 shapes over its floor: the bare evaluation of S, S_u, S_v at the same points and the two Gram products.
+
+python -m benchmarks.gradient_cost
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from benchmarks.common import fresh, group_objective, head, inside, median_time, moving_bumps
+from ssmpipe.core.spline import compiled
+from ssmpipe.core.spline.evaluate import Evaluator
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--shapes", type=int, default=34)
+    parser.add_argument("--repeats", type=int, default=15)
+    args = parser.parse_args()
+    head(
+        f"Cost of one gradient, {args.shapes} shapes, 51 x 51 landmarks, 8 x 8 coefficients, medians of {args.repeats} [ms]"
+    )
+    splines = moving_bumps(args.shapes)
+    evaluators: list[Evaluator] = ["numpy", "numba"] if compiled.available() else ["numpy"]
+    print(
+        f"{'evaluator':10} {'evaluation':>11} {'products':>9} {'floor':>8} {'gradient':>9} {'/ floor':>8} {'with barrier':>13} {'/ floor':>8}"
+    )
+    for evaluator in evaluators:
+        f = group_objective(splines, evaluator=evaluator)
+        x = inside(f)
+        parameters = f.reparameterization.evaluate(f.coefficients(x))
+        points = f.stack.evaluate(parameters).points
+        flat = (points - points.mean(axis=0)).reshape(len(points), -1)
+        gram = flat @ flat.T
+        evaluation = median_time(lambda f=f, p=parameters: f.stack.evaluate(p), args.repeats)
+        products = median_time(lambda a=flat, g=gram: (a @ a.T, g @ a), args.repeats)
+        gradient = median_time(fresh(f, lambda f=f, x=x: f.spectral_gradient(x)), args.repeats)
+        whole = median_time(fresh(f, lambda f=f, x=x: f.value_and_gradient(x)), args.repeats)
+        floor = evaluation + products
+        ms = [1e3 * v for v in (evaluation, products, floor, gradient)]
+        print(
+            f"{evaluator:10} {ms[0]:11.2f} {ms[1]:9.2f} {ms[2]:8.2f} {ms[3]:9.2f} {gradient / floor:8.2f} "
+            f"{1e3 * whole:13.2f} {whole / floor:8.2f}"
+        )
+        assert np.isfinite(gram).all()
+
+
+if __name__ == "__main__":
+    with threadpool_limits(1):
+        main()

@@ -1,0 +1,143 @@
+"""Against scipy's SLSQP with the same functions, on planes whose bump moves in x and y and changes height.
+
+Both sides start from the identity and see the same description length, gradient and Bernstein coefficients of det dD/du. SLSQP
+gets one Kreisselmeier-Steinhauser aggregate per shape (Li 2015, [2.22]), once with K = 15 and once with K = 200, since one row
+per coefficient would make its dense subproblem larger by a factor of hundreds. Only points whose coefficients are all positive,
+that is certified maps, count for either side. No prior, no pose, one thread.
+
+    python -m benchmarks.slsqp                                   about three minutes
+    python -m benchmarks.slsqp --case 100x8 --budget 1800        the long one
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import numpy as np
+from scipy.optimize import minimize
+from threadpoolctl import threadpool_limits
+
+from benchmarks.common import LAMBDA_CUT, group_objective, head, moving_bumps
+from ssmpipe.core.arrays import Floats
+from ssmpipe.core.correspondence.barrier import Barrier
+from ssmpipe.core.correspondence.objective import GroupObjective
+from ssmpipe.core.correspondence.optimize import EngineOptions, Solver, optimize_correspondence
+from ssmpipe.core.spline.evaluate import Spline
+
+BARRIERS = (10.0, 1.0, 0.1, 0.01)
+Track = list[tuple[float, float]]
+
+
+class _OverBudget(Exception):
+    pass
+
+
+def run_slsqp(f: GroupObjective, sharpness: float, budget: float) -> tuple[Track, str]:
+    """Return (time, best certified value) and how it ended."""
+    aggregate = Barrier("ks", 0.0, sharpness)
+    n_shapes = len(f.moving)
+    per_shape = f.start().size // n_shapes
+    track: Track = []
+    begin = time.perf_counter()
+
+    def value(x: Floats) -> tuple[float, Floats]:
+        out = f.spectral_gradient(x)
+        elapsed = time.perf_counter() - begin
+        if f.smallest_jacobian(x) > 0 and (not track or out[0] < track[-1][1]):
+            track.append((elapsed, out[0]))
+        if elapsed > budget:
+            raise _OverBudget
+        return out
+
+    def constraint(x: Floats) -> Floats:
+        return -aggregate.constraint(f.jacobian.coefficients(f.coefficients(x)[f.moving]))
+
+    def rows(x: Floats) -> Floats:
+        moving = f.coefficients(x)[f.moving]
+        jacobians = f.jacobian.coefficients(moving)
+        excess = aggregate.sharpness * (jacobians.min(axis=1, keepdims=True) - jacobians)
+        share = np.exp(excess) / np.exp(excess).sum(axis=1, keepdims=True)
+        pulled = f.jacobian.pull_back(moving, share)[:, f.reparameterization.free]
+        out = np.zeros((n_shapes, n_shapes * per_shape))
+        for i in range(n_shapes):
+            out[i, i * per_shape : (i + 1) * per_shape] = pulled[i]
+        return out
+
+    try:
+        result = minimize(
+            value,
+            f.start(),
+            jac=True,
+            method="SLSQP",
+            constraints=[{"type": "ineq", "fun": constraint, "jac": rows}],
+            options={"maxiter": 10_000, "ftol": 1e-8},
+        )
+    except _OverBudget:
+        return track, f"stopped after {budget:g} s"
+    return track, f"ended after {time.perf_counter() - begin:.1f} s: {result.message}"
+
+
+def run_engine(splines: list[Spline], n_b: int, solver: Solver) -> Track:
+    options = EngineOptions(
+        n_coefficients=(n_b, n_b),
+        lambda_cut=LAMBDA_CUT,
+        pose="keep",
+        normalize="none",
+        prior=0.0,
+        barriers=BARRIERS,
+        reference=0,
+        solver=solver,
+    )
+    track: Track = []
+    begin = time.perf_counter()
+
+    def record(row: dict[str, float]) -> None:
+        if row["min_jacobian"] > 0:
+            track.append((time.perf_counter() - begin, row["description_length"]))
+
+    result = optimize_correspondence(splines, options, record=record)
+    assert all(c.verdict == "proved" for c in result.value.certificates)
+    return track
+
+
+def reached(track: Track, level: float) -> float:
+    return next((t for t, v in track if v <= level), float("inf"))
+
+
+def compare(n_shapes: int, n_b: int, budget: float) -> None:
+    splines = moving_bumps(n_shapes)
+    f = group_objective(splines, (n_b, n_b), barrier=0.0)
+    f.value_and_gradient(f.start())
+    unknowns = f.start().size
+    print(f"{n_shapes} shapes, {n_b} x {n_b}: {unknowns} unknowns, start {f.spectral_value(f.start()):.3f}")
+    solvers: tuple[Solver, ...] = ("quasi-newton", "newton")
+    ours = {solver: run_engine(splines, n_b, solver) for solver in solvers}
+    for solver, track in ours.items():
+        print(f"  engine, {solver:13} final {track[-1][1]:9.4f}, {track[-1][0]:7.2f} s, {len(track) - 1} iterations")
+    for sharpness in (15.0, 200.0):
+        track, ending = run_slsqp(f, sharpness, budget)
+        seconds, best = track[-1]
+        print(f"  SLSQP, K = {sharpness:<9g} best  {best:9.4f}, {seconds:7.2f} s, {ending}")
+        for solver, mine in ours.items():
+            at = reached(mine, best)
+            above = mine[-1][1] / best - 1
+            ratio = f"{at:7.2f} s, {seconds / at:6.1f} times sooner" if np.isfinite(at) else "never"
+            print(f"    engine, {solver:13} reaches it in {ratio}; final value {above:+.2%} of SLSQP's")
+    print(flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--case", action="append", help="shapes x coefficients, such as 100x8; default 4x12 and 34x8")
+    parser.add_argument("--budget", type=float, default=40.0, help="seconds for each run of SLSQP")
+    args = parser.parse_args()
+    head("SLSQP against the engine, moving bumps, 51 x 51 landmarks")
+    for case in args.case or ["4x12", "34x8"]:
+        n_shapes, n_b = map(int, case.split("x"))
+        compare(n_shapes, n_b, args.budget)
+
+
+if __name__ == "__main__":
+    with threadpool_limits(1):
+        main()
