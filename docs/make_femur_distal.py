@@ -37,8 +37,6 @@ from ssmpipe.io.meshes import read_mesh  # noqa: E402
 from ssmpipe.io.splines import read_surface  # noqa: E402
 from ssmpipe.io.tables import read_table  # noqa: E402
 
-DISTAL = ("PLC", "PMC", "LEC", "MEC", "ICN", "DLC", "DMC", "PPLC", "PPMC")
-
 
 def tree_memory(pid: int) -> int:
     """Proportional memory of a process and its children [bytes], Linux."""
