@@ -26,7 +26,8 @@ def main() -> None:
     splines = moving_bumps(args.shapes)
     evaluators: list[Evaluator] = ["numpy", "numba"] if compiled.available() else ["numpy"]
     print(
-        f"{'evaluator':10} {'evaluation':>11} {'products':>9} {'floor':>8} {'gradient':>9} {'/ floor':>8} {'with barrier':>13} {'/ floor':>8}"
+        f"{'evaluator':10} {'evaluation':>11} {'products':>9} {'floor':>8} {'gradient':>9} {'/ floor':>8} "
+        f"{'with barrier':>13} {'/ floor':>8}"
     )
     for evaluator in evaluators:
         f = group_objective(splines, evaluator=evaluator)

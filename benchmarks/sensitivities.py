@@ -41,7 +41,8 @@ def boxes(n: int) -> list[Spline]:
 
 def table(repeats: int) -> None:
     print(
-        f"{'n_b':>8} {'n_D':>5} {'adjoint ms':>11} {'direct ms':>10} {'differences ms':>15} {'ratio':>7} {'thesis':>7} {'bound':>7} {'share':>6} {'floor bound':>12} {'share':>6}"
+        f"{'n_b':>8} {'n_D':>5} {'adjoint ms':>11} {'direct ms':>10} {'differences ms':>15} "
+        f"{'ratio':>7} {'thesis':>7} {'bound':>7} {'share':>6} {'floor bound':>12} {'share':>6}"
     )
     splines = planes(4)
     for n_b, thesis in THESIS.items():
