@@ -37,7 +37,8 @@ from ssmpipe.io.meshes import read_mesh  # noqa: E402
 from ssmpipe.io.splines import read_surface  # noqa: E402
 from ssmpipe.io.tables import read_table  # noqa: E402
 
-AT_THE_CUT = """Where affine closest points are nearer to the truth than the optimized correspondence, it is at the cut: the rim is matched by arc
+AT_THE_CUT = """\
+Where affine closest points are nearer to the truth than the optimized correspondence, it is at the cut: the rim is matched by arc
 length and stays fixed, while the true place of the cut differs from shape to shape. The column without the upper 30 % of the
 height shows it; `optimize.boundary: sliding` and more coefficients narrow the gap ([defaults.md](defaults.md)).
 """
