@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import scipy.linalg
 
 from ssmpipe.core.align.differentiable import align_to, align_to_adjoint
-from ssmpipe.core.arrays import Floats
+from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.blocks import map_blocks
 from ssmpipe.core.correspondence.barrier import Barrier
 from ssmpipe.core.correspondence.covariance import (
@@ -30,7 +31,10 @@ from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.spline.evaluate import Jet, SplineStack
 
 Covariance = Literal["discrete", "I", "II"]
+COUPLED_UNKNOWNS = 3000
+"""Up to so many unknowns the preconditioner couples the shapes; its cost grows with the cube."""
 _SHAPES_PER_BLOCK = 4
+_PAIRS_PER_BLOCK = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,39 +295,66 @@ class GroupObjective:
         return largest_feasible_step(current - self.constraint.floor, first, second)
 
     def preconditioner(self, x: Floats) -> Callable[[Floats], Floats]:
-        """Return the inverse of the block-diagonal Gauss-Newton matrix, one block per shape."""
+        """Return the inverse of the Gauss-Newton matrix: whole up to a few thousand unknowns, else one block per shape."""
         evaluation = self.evaluate(x)
         coefficients = self.coefficients(x)
+        moving, threads = self.moving, self.stack.threads
         n_d = self.reparameterization.n_directions
         free = np.flatnonzero(self._free.ravel())
-        diagonal = np.arange(len(free))
-        share = np.diagonal(evaluation.spectrum.slope(self.spectral)) * (2.0 / (len(coefficients) - 1))
+        weigh = evaluation.spectrum.slope(self.spectral) * (2.0 / (len(coefficients) - 1))
+        tangents = self._posed(evaluation, evaluation.jet.first)
         bending = self.prior * np.kron(self._bending, np.eye(n_d))
 
-        def inverted(part: slice) -> Floats:
-            chunk = self.moving[part]
-            metric = np.empty((len(chunk), len(evaluation.weights), n_d, n_d))
+        def data(first: Ints, second: Ints) -> Floats:
+            metric = np.empty((len(first), len(evaluation.weights), n_d, n_d))
             for a in range(n_d):
                 for b in range(n_d):
-                    metric[..., a, b] = _dot(evaluation.jet.first[a][chunk], evaluation.jet.first[b][chunk])
-            metric *= (share[chunk][:, None] * evaluation.weights)[..., None, None]
-            block = self.reparameterization.normal_blocks(metric) + bending
+                    metric[..., a, b] = _dot(tangents[a][first], tangents[b][second])
+            metric *= (weigh[first, second][:, None] * evaluation.weights)[..., None, None]
+            return self.reparameterization.normal_blocks(metric)[:, free[:, None], free]
+
+        def diagonal(part: slice) -> Floats:
+            chunk = moving[part]
+            block = np.repeat(bending[None], len(chunk), axis=0)
             if self.barrier > 0:
                 curvature = self.constraint.curvature(self.jacobian.coefficients(coefficients[chunk]))
                 block += self.barrier * self.jacobian.normal_blocks(coefficients[chunk], curvature)
             if self.guides is not None:
                 block += np.stack([self.guides.hessian(int(i)) for i in chunk])
-            block = block[:, free[:, None], free]
-            block[:, diagonal, diagonal] += 1e-8 * np.trace(block, axis1=1, axis2=2)[:, None] / len(free)
-            inverse = np.linalg.inv(block)
-            return np.asarray(0.5 * (inverse + np.swapaxes(inverse, 1, 2)))
+            block = block[:, free[:, None], free] + data(chunk, chunk)
+            trace = np.trace(block, axis1=1, axis2=2)
+            return np.asarray(block + (1e-8 / len(free) * trace)[:, None, None] * np.eye(len(free)))
 
-        inverses = np.concatenate(map_blocks(inverted, len(self.moving), _SHAPES_PER_BLOCK, self.stack.threads))
+        if len(moving) * len(free) > COUPLED_UNKNOWNS:
 
-        def apply(vector: Floats) -> Floats:
-            return self._keep_gauge((inverses @ vector.reshape(len(inverses), -1, 1)).ravel())
+            def inverted(part: slice) -> Floats:
+                inverse = np.linalg.inv(diagonal(part))
+                return np.asarray(0.5 * (inverse + np.swapaxes(inverse, 1, 2)))
 
-        return apply
+            inverses = np.concatenate(map_blocks(inverted, len(moving), _SHAPES_PER_BLOCK, threads))
+            return lambda vector: self._keep_gauge((inverses @ vector.reshape(len(inverses), -1, 1)).ravel())
+
+        whole = np.empty((len(moving), len(free), len(moving), len(free)))
+        rows, columns = np.triu_indices(len(moving), 1)
+
+        def coupled(part: slice) -> None:
+            blocks = data(moving[rows[part]], moving[columns[part]])
+            for i, j, block in zip(rows[part], columns[part], blocks, strict=True):
+                whole[i, :, j], whole[j, :, i] = block, block.T
+
+        map_blocks(coupled, len(rows), _PAIRS_PER_BLOCK, threads)
+        for i, block in enumerate(np.concatenate(map_blocks(diagonal, len(moving), _SHAPES_PER_BLOCK, threads))):
+            whole[i, :, i] = block
+        size = len(moving) * len(free)
+        factor = scipy.linalg.cho_factor(whole.reshape(size, size), lower=True, overwrite_a=True, check_finite=False)
+        return lambda vector: self._keep_gauge(scipy.linalg.cho_solve(factor, vector, check_finite=False))
+
+    def _posed(self, evaluation: Evaluation, fields: tuple[Floats, ...]) -> tuple[Floats, ...]:
+        """Return derivatives (n_S, n_P, d) in the frame of the aligned points."""
+        if self.target is None:
+            return fields
+        turns = np.swapaxes(evaluation.rotations, 1, 2)
+        return tuple(s @ turns for s in fields)
 
     def hessian(self, x: Floats) -> Callable[[Floats], Floats]:
         """Return the product of the second derivative with a vector; its cost is below that of a gradient.
@@ -346,10 +377,7 @@ class GroupObjective:
         def packed(field: Floats) -> Floats:
             return np.ascontiguousarray(np.moveaxis(field, 2, 1)) * root
 
-        first, second = jet.first, jet.second
-        if self.target is not None:
-            turns = np.swapaxes(evaluation.rotations, 1, 2)
-            first, second = tuple(s @ turns for s in first), tuple(s @ turns for s in second)
+        first, second = self._posed(evaluation, jet.first), self._posed(evaluation, jet.second)
         centred = packed(evaluation.points - evaluation.points.mean(axis=0)).reshape(n_shapes, -1)
         tangents = [packed(s[moving]) for s in first]
         vectors, d_gram = spec.vectors, spec.slope(self.spectral)

@@ -151,12 +151,12 @@ class Reparameterization:
         return np.moveaxis(apply_directions(tuple(b.T for b in self._basis), field), 1, -1)
 
     def normal_blocks(self, metric: Floats) -> Floats:
-        """Return ``Basis^T M Basis`` of many shapes: the Gauss-Newton blocks in all coefficients.
+        """Return ``Basis^T M Basis`` of many shapes, or pairs of shapes: the Gauss-Newton blocks in all coefficients.
 
         Parameters
         ----------
         metric : (..., n_P, d_par, d_par) float64
-            A symmetric matrix at every landmark.
+            A matrix at every landmark; symmetric for one shape, ``S_i'^T S_j'`` for a pair.
 
         Returns
         -------
@@ -171,10 +171,10 @@ class Reparameterization:
         pairs = [(b[:, :, None] * b[:, None, :]).reshape(len(b), -1) for b in self._basis]
         field = metric.reshape(-1, n0, n1, 2, 2)
         out = np.empty((len(field), a0, a1, 2, a0, a1, 2))
-        for c, e in ((0, 0), (0, 1), (1, 1)):
-            block = pairs[0].T @ (np.ascontiguousarray(field[..., c, e]) @ pairs[1])
-            out[:, :, :, c, :, :, e] = block.reshape(-1, a0, a0, a1, a1).transpose(0, 1, 3, 2, 4)
-        out[:, :, :, 1, :, :, 0] = out[:, :, :, 0, :, :, 1]
+        for c in range(2):
+            for e in range(2):
+                block = pairs[0].T @ (np.ascontiguousarray(field[..., c, e]) @ pairs[1])
+                out[:, :, :, c, :, :, e] = block.reshape(-1, a0, a0, a1, a1).transpose(0, 1, 3, 2, 4)
         size = a0 * a1 * 2
         return out.reshape(*lead, size, size)
 
