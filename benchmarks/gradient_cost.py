@@ -25,10 +25,8 @@ def main() -> None:
     )
     splines = moving_bumps(args.shapes)
     evaluators: list[Evaluator] = ["numpy", "numba"] if compiled.available() else ["numpy"]
-    print(
-        f"{'evaluator':10} {'evaluation':>11} {'products':>9} {'floor':>8} {'gradient':>9} {'/ floor':>8} "
-        f"{'with barrier':>13} {'/ floor':>8}"
-    )
+    names = ("evaluation", "products", "floor", "gradient", "/ floor", "with barrier", "/ floor")
+    print(f"{'evaluator':10} " + " ".join(f"{name:>12}" for name in names))
     for evaluator in evaluators:
         f = group_objective(splines, evaluator=evaluator)
         x = inside(f)
@@ -41,11 +39,16 @@ def main() -> None:
         gradient = median_time(fresh(f, lambda f=f, x=x: f.spectral_gradient(x)), args.repeats)
         whole = median_time(fresh(f, lambda f=f, x=x: f.value_and_gradient(x)), args.repeats)
         floor = evaluation + products
-        ms = [1e3 * v for v in (evaluation, products, floor, gradient)]
-        print(
-            f"{evaluator:10} {ms[0]:11.2f} {ms[1]:9.2f} {ms[2]:8.2f} {ms[3]:9.2f} {gradient / floor:8.2f} "
-            f"{1e3 * whole:13.2f} {whole / floor:8.2f}"
+        row = (
+            1e3 * evaluation,
+            1e3 * products,
+            1e3 * floor,
+            1e3 * gradient,
+            gradient / floor,
+            1e3 * whole,
+            whole / floor,
         )
+        print(f"{evaluator:10} " + " ".join(f"{value:12.2f}" for value in row))
         assert np.isfinite(gram).all()
 
 

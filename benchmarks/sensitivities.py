@@ -40,10 +40,8 @@ def boxes(n: int) -> list[Spline]:
 
 
 def table(repeats: int) -> None:
-    print(
-        f"{'n_b':>8} {'n_D':>5} {'adjoint ms':>11} {'direct ms':>10} {'differences ms':>15} "
-        f"{'ratio':>7} {'thesis':>7} {'bound':>7} {'share':>6} {'floor bound':>12} {'share':>6}"
-    )
+    names = ("adjoint ms", "direct ms", "differences", "ratio", "thesis", "bound", "share", "floor bound", "share")
+    print(f"{'n_b':>8} {'n_D':>5} " + " ".join(f"{name:>11}" for name in names))
     splines = planes(4)
     for n_b, thesis in THESIS.items():
         f = group_objective(splines, (n_b, n_b))
@@ -64,9 +62,11 @@ def table(repeats: int) -> None:
             (x.size + 1) * evaluation / adjoint,
             (x.size + 1) * evaluation / floor,
         )
+        row = (1e3 * adjoint, 1e3 * direct, 1e3 * differences, ratio, thesis, bound)
         print(
-            f"{n_b:>3} x {n_b:<2} {x.size:>5} {1e3 * adjoint:11.2f} {1e3 * direct:10.2f} {1e3 * differences:15.1f} {ratio:7.0f} "
-            f"{thesis:7.1f} {bound:7.0f} {ratio / bound:6.0%} {strict:12.0f} {ratio / strict:6.0%}"
+            f"{n_b:>3} x {n_b:<2} {x.size:>5} "
+            + " ".join(f"{value:11.1f}" for value in row)
+            + f" {ratio / bound:11.0%} {strict:11.0f} {ratio / strict:11.0%}"
         )
 
 

@@ -105,12 +105,14 @@ def reached(track: Track, level: float) -> float:
     return next((t for t, v in track if v <= level), float("inf"))
 
 
-def compare(n_shapes: int, n_b: int, budget: float) -> None:
-    splines = moving_bumps(n_shapes)
+def compare(n_shapes: int, n_b: int, budget: float, seed: int) -> None:
+    splines = moving_bumps(n_shapes, seed)
     f = group_objective(splines, (n_b, n_b), barrier=0.0)
     f.value_and_gradient(f.start())
     unknowns = f.start().size
-    print(f"{n_shapes} shapes, {n_b} x {n_b}: {unknowns} unknowns, start {f.spectral_value(f.start()):.3f}")
+    print(
+        f"{n_shapes} shapes, {n_b} x {n_b}, seed {seed}: {unknowns} unknowns, start {f.spectral_value(f.start()):.3f}"
+    )
     solvers: tuple[Solver, ...] = ("quasi-newton", "newton")
     ours = {solver: run_engine(splines, n_b, solver) for solver in solvers}
     for solver, track in ours.items():
@@ -130,12 +132,16 @@ def compare(n_shapes: int, n_b: int, budget: float) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--case", action="append", help="shapes x coefficients, such as 100x8; default 4x12 and 34x8")
+    parser.add_argument(
+        "--seeds", type=int, nargs="+", default=[3], help="of the cohort; the problem has many local minima"
+    )
     parser.add_argument("--budget", type=float, default=40.0, help="seconds for each run of SLSQP")
     args = parser.parse_args()
     head("SLSQP against the engine, moving bumps, 51 x 51 landmarks")
     for case in args.case or ["4x12", "34x8"]:
         n_shapes, n_b = map(int, case.split("x"))
-        compare(n_shapes, n_b, args.budget)
+        for seed in args.seeds:
+            compare(n_shapes, n_b, args.budget, seed)
 
 
 if __name__ == "__main__":

@@ -1,58 +1,79 @@
-"""One thread against two: evaluation, gradient, second-derivative product, preconditioner; the bits must be the same.
+"""One thread against two: evaluation, gradient, preconditioner; the bits must be the same.
 
     python -m benchmarks.threads
 
-Two idle cores are needed; the load of the machine is printed beside the figures.
+Two idle cores are needed. Before every sample a plain hash shows whether two threads really get two cores; samples taken
+while they do not are thrown away, and how many were kept is printed.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import os
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from statistics import median
 
 from threadpoolctl import threadpool_limits
 
-from benchmarks.common import fresh, group_objective, head, inside, median_time, moving_bumps
+from benchmarks.common import fresh, group_objective, head, inside, moving_bumps
+
+_BYTES = bytes(4_000_000)
 
 
-def spin(seconds: float = 0.2) -> float:
-    """Return the share of a core that this process gets."""
-    begin, used = time.perf_counter(), time.process_time()
-    while time.perf_counter() - begin < seconds:
-        pass
-    return (time.process_time() - used) / (time.perf_counter() - begin)
+def clock(function: Callable[[], object]) -> float:
+    begin = time.perf_counter()
+    function()
+    return time.perf_counter() - begin
+
+
+def idle(pool: ThreadPoolExecutor) -> bool:
+    """Return whether two threads hash twice as much in nearly the same time."""
+    one = clock(lambda: hashlib.sha256(_BYTES))
+    two = clock(lambda: list(pool.map(hashlib.sha256, (_BYTES, _BYTES))))
+    return two < 1.15 * one
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--shapes", type=int, default=34)
-    parser.add_argument("--repeats", type=int, default=21)
+    parser.add_argument("--samples", type=int, default=21)
+    parser.add_argument("--budget", type=float, default=60.0, help="seconds to wait for idle cores")
     args = parser.parse_args()
-    head(f"Threads, {args.shapes} shapes, 51 x 51 landmarks, 8 x 8 coefficients, medians of {args.repeats} [ms]")
-    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
-    print(f"{os.cpu_count()} cores, load {load:.2f} before the start, {spin():.0%} of a core for one thread\n")
+    head(f"Threads, {args.shapes} shapes, 51 x 51 landmarks, 8 x 8 coefficients")
     splines = moving_bumps(args.shapes)
     results: dict[int, list[bytes]] = {}
-    seconds: dict[int, dict[str, float]] = {}
+    work: dict[int, dict[str, Callable[[], object]]] = {}
     for threads in (1, 2):
         f = group_objective(splines, threads=threads)
         x = inside(f)
         parameters = f.reparameterization.evaluate(f.coefficients(x))
-        _value, gradient = f.value_and_gradient(x)
-        product = f.hessian(x)
-        inverse = f.preconditioner(x)
-        results[threads] = [v.tobytes() for v in (gradient, product(gradient), inverse(gradient))]
-        work: dict[str, Callable[[], object]] = {
+        _, gradient = f.value_and_gradient(x)
+        results[threads] = [v.tobytes() for v in (gradient, f.hessian(x)(gradient), f.preconditioner(x)(gradient))]
+        work[threads] = {
             "evaluation": lambda f=f, p=parameters: f.stack.evaluate(p),
             "gradient": fresh(f, lambda f=f, x=x: f.value_and_gradient(x)),
             "preconditioner": lambda f=f, x=x: f.preconditioner(x),
         }
-        seconds[threads] = {name: median_time(function, args.repeats) for name, function in work.items()}
-    for name in seconds[1]:
-        one, two = seconds[1][name], seconds[2][name]
-        print(f"{name:16} one {1e3 * one:8.2f}   two {1e3 * two:8.2f}   ratio {one / two:5.2f}")
+    times: dict[tuple[int, str], list[float]] = {(t, name): [] for t in (1, 2) for name in work[1]}
+    begin, tried = time.perf_counter(), 0
+    with ThreadPoolExecutor(2) as pool:
+        while len(times[1, "gradient"]) < args.samples and time.perf_counter() - begin < args.budget:
+            tried += 1
+            if not idle(pool):
+                continue
+            sample = {key: clock(work[key[0]][key[1]]) for key in times}
+            if idle(pool):
+                for key, seconds in sample.items():
+                    times[key].append(seconds)
+    kept = len(times[1, "gradient"])
+    print(f"{os.cpu_count()} cores; {kept} of {tried} samples with both cores idle; medians [ms]\n")
+    for name in work[1]:
+        if kept:
+            one, two = median(times[1, name]), median(times[2, name])
+            print(f"{name:16} one {1e3 * one:8.2f}   two {1e3 * two:8.2f}   ratio {one / two:5.2f}")
     print(f"same bits: {results[1] == results[2]}")
 
 

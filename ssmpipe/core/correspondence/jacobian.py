@@ -12,9 +12,10 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+import scipy.sparse
 from scipy.special import comb
 
-from ssmpipe.core.arrays import Floats, Ints
+from ssmpipe.core.arrays import Floats
 from ssmpipe.core.correspondence.direction import Direction, apply_directions
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
 from ssmpipe.core.errors import GeometryError
@@ -197,7 +198,7 @@ class Jacobian:
             return np.stack([r.T @ (k[:, None] * r) for r, k in zip(all_rows, curvature, strict=True)])
         # a Bernstein coefficient depends on the (p + 1)^2 control points of its own span only
         (n0, n1), m = self.n_spans, self.degree + 1
-        nodes, extraction, place = self._local
+        nodes, extraction, assembly = self._local
         du, dv = self._gradients(coefficients - self._identity, with_identity=True)
 
         def cells(field: Floats) -> Floats:
@@ -209,14 +210,11 @@ class Jacobian:
         weight = cells(curvature).reshape(len(x), n0 * n1, m * m, 1)
         local = np.swapaxes(rows, 2, 3) @ (rows * weight)
         n = self._identity.size
-        out = np.zeros((len(x), n, n))
-        for cell, index in enumerate(place):
-            out[:, index[:, None], index[None]] += local[:, cell]
-        return out
+        return np.ascontiguousarray((assembly @ local.reshape(len(x), -1).T).T).reshape(-1, n, n)
 
     @cached_property
-    def _local(self) -> tuple[tuple[Floats, Floats], Floats, Ints]:
-        """Return, per span, the node derivatives that are not zero, the extraction, and the unknowns they belong to."""
+    def _local(self) -> tuple[tuple[Floats, Floats], Floats, scipy.sparse.csr_array]:
+        """Return, per span, the node derivatives that are not zero, the extraction, and the sum over the spans."""
         m = self.degree + 1
         p = (self.degree + 1) // 2
         local, columns = [], []
@@ -234,7 +232,11 @@ class Jacobian:
         extraction = np.kron(self._extract[0][:m, :m], self._extract[1][:m, :m])
         cell = columns[0][:, None, :, None] * self._identity.shape[1] + columns[1][None, :, None, :]
         place = (cell.reshape(n0 * n1, -1, 1) * 2 + np.arange(2)).reshape(n0 * n1, -1)
-        return (both[0], both[1]), np.asarray(extraction, np.float64), place.astype(np.int64)
+        n = self._identity.size
+        target = (place[:, :, None] * n + place[:, None, :]).ravel()
+        ones = (np.ones(len(target)), (target, np.arange(len(target))))
+        assembly = scipy.sparse.csr_array(ones, shape=(n * n, len(target)))
+        return (both[0], both[1]), np.asarray(extraction, np.float64), assembly
 
 
 def largest_feasible_step(current: Floats, first: Floats, second: Floats) -> float:

@@ -35,6 +35,8 @@ Normalization = Literal["none", "size", "affine"]
 Solver = Literal["newton", "quasi-newton"]
 Sensitivity = Literal["adjoint", "direct", "finite-difference"]
 _REFINED = ("refined", "each-evaluation")
+_EARLY_DECREASE = 1e-4
+"""Rounds before the last barrier weight end at this relative decrease; more would not pay."""
 _SLOW = {"direct": direct_gradient, "finite-difference": finite_difference_gradient}
 
 
@@ -328,14 +330,16 @@ class _Cohort:
         x = objective.unknowns(coefficients)
         recorder.start(objective, x)
         status: Status = "converged"
-        for barrier in barriers:
+        for k, barrier in enumerate(barriers):
             objective.barrier = barrier
+            last = k == len(barriers) - 1
+            decrease = self.opts.relative_decrease if last else max(self.opts.relative_decrease, _EARLY_DECREASE)
             result = minimize_interior(
                 objective,
                 x,
                 DescentOptions(
                     max_iterations=self.opts.max_iterations,
-                    relative_decrease=self.opts.relative_decrease,
+                    relative_decrease=decrease,
                     method=self.opts.solver if self.opts.sensitivity == "adjoint" else "quasi-newton",
                 ),
                 callback=partial(recorder.note_iteration, objective),

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
-from ssmpipe.core.arrays import Bools, Floats
+from ssmpipe.core.arrays import Bools, Floats, Ints
 from ssmpipe.core.correspondence.direction import Direction, apply_directions
 from ssmpipe.core.errors import GeometryError
 
@@ -168,15 +169,26 @@ class Reparameterization:
         if n_d == 1:
             return np.asarray(self._basis[0].T @ (metric.reshape(*lead, -1, 1) * self._basis[0]))
         (n0, n1), (a0, a1) = self.grid, self.n_coefficients
-        pairs = [(b[:, :, None] * b[:, None, :]).reshape(len(b), -1) for b in self._basis]
+        (left, row0, column0), (right, row1, column1) = self._overlaps
+        size = a0 * a1 * 2
+        rows = (row0[:, None] * a1 + row1) * 2
+        columns = (column0[:, None] * a1 + column1) * 2
         field = metric.reshape(-1, n0, n1, 2, 2)
-        out = np.empty((len(field), a0, a1, 2, a0, a1, 2))
+        out = np.zeros((len(field), size * size))
         for c in range(2):
             for e in range(2):
-                block = pairs[0].T @ (np.ascontiguousarray(field[..., c, e]) @ pairs[1])
-                out[:, :, :, c, :, :, e] = block.reshape(-1, a0, a0, a1, a1).transpose(0, 1, 3, 2, 4)
-        size = a0 * a1 * 2
+                block = left.T @ (np.ascontiguousarray(field[..., c, e]) @ right)
+                out[:, ((rows + c) * size + columns + e).ravel()] = block.reshape(len(field), -1)
         return out.reshape(*lead, size, size)
+
+    @cached_property
+    def _overlaps(self) -> list[tuple[Floats, Ints, Ints]]:
+        """Return, per direction, the products of the basis functions that overlap, (n, n_pairs), and which two they are."""
+        found = []
+        for b in self._basis:
+            first, second = np.nonzero((np.abs(b).T @ np.abs(b)) > 0)
+            found.append((b[:, first] * b[:, second], first.astype(np.int64), second.astype(np.int64)))
+        return found
 
     def rows_at(self, parameters: Floats) -> Floats:
         """Return the (n, prod(n_coefficients)) basis of one component of ``D`` at scattered (n, d_par) ``parameters``."""
