@@ -66,10 +66,11 @@ def inside(objective: GroupObjective, seed: int = 0) -> Floats:
 
 
 def fresh(objective: GroupObjective, function: Callable[[], object]) -> Callable[[], object]:
-    """Return ``function`` with the memory of the last evaluation cleared first."""
+    """Return ``function`` that cannot take the last evaluation for its own, as in a descent."""
 
     def run() -> object:
-        objective._last = None
+        if objective._last is not None:
+            objective._last = (b"", objective._last[1])
         return function()
 
     return run

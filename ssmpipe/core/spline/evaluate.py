@@ -159,7 +159,7 @@ class SplineStack:
         inverse = 1.0 / np.diff(ends)[index]
         return index, ((parameters - ends[index]) * inverse)[:, None], inverse[:, None]
 
-    def evaluate(self, parameters: Floats, *, second: bool = False) -> Jet:
+    def evaluate(self, parameters: Floats, *, second: bool = False, reuse: Jet | None = None) -> Jet:
         """Return positions, first and (if asked for) second derivatives of all splines, each at its own points.
 
         Parameters
@@ -167,10 +167,15 @@ class SplineStack:
         parameters : (n_S, n_P, d_par) float64
             In the unit interval or square; periodic directions take any number.
         second : bool, default=False
+        reuse : Jet, optional
+            A former answer whose memory may be overwritten; fresh memory costs as much time as the evaluation.
         """
         n_d = self.n_directions
         count = 1 + n_d + (n_d * (n_d + 1) // 2 if second else 0)
-        out = [np.empty((self.n_shapes, parameters.shape[1], self.dimension)) for _ in range(count)]
+        shape = (self.n_shapes, parameters.shape[1], self.dimension)
+        out = [] if reuse is None else [reuse.points, *reuse.first, *reuse.second]
+        if len(out) != count or out[0].shape != shape:
+            out = [np.empty(shape) for _ in range(count)]
 
         def some(block: slice) -> None:
             if self.evaluator == "numba":
