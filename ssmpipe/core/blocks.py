@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -28,5 +29,10 @@ def map_blocks(function: Callable[[slice], T], n: int, size: int, threads: int =
     slices = [slice(start, min(start + size, n)) for start in range(0, n, size)]
     if threads <= 1 or len(slices) <= 1:
         return [function(s) for s in slices]
-    with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(function, slices))
+    return list(_pool(threads).map(function, slices))
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    # kept: new threads come with new memory, whose first touch costs more than the work of a block
+    return ThreadPoolExecutor(threads)

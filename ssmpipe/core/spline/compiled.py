@@ -86,9 +86,11 @@ def _curves_second(
 
 def _surfaces(
     blocks: Floats,
-    index: Ints,
+    n_v: int,
+    index_u: Ints,
     t: Floats,
     du: Floats,
+    index_v: Ints,
     s: Floats,
     dv: Floats,
     point: Floats,
@@ -105,8 +107,8 @@ def _surfaces(
     value = np.empty(m)
     slope = np.empty(m)
     for i in range(n):
-        for l in range(index.shape[1]):
-            local = flat[i, index[i, l]]
+        for l in range(index_u.shape[1]):
+            local = flat[i, index_u[i, l] * n_v + index_v[i, l]]
             x = t[i, l]
             y = s[i, l]
             for c in range(m):
@@ -131,9 +133,11 @@ def _surfaces(
 
 def _surfaces_second(
     blocks: Floats,
-    index: Ints,
+    n_v: int,
+    index_u: Ints,
     t: Floats,
     du: Floats,
+    index_v: Ints,
     s: Floats,
     dv: Floats,
     point: Floats,
@@ -154,8 +158,8 @@ def _surfaces_second(
     slope = np.empty(m)
     bend = np.empty(m)
     for i in range(n):
-        for l in range(index.shape[1]):
-            local = flat[i, index[i, l]]
+        for l in range(index_u.shape[1]):
+            local = flat[i, index_u[i, l] * n_v + index_v[i, l]]
             x = t[i, l]
             y = s[i, l]
             for c in range(m):

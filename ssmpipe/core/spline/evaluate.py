@@ -133,6 +133,7 @@ class SplineStack:
         if evaluator == "auto":
             evaluator = "numba" if compiled.available() else "numpy"
         self.evaluator = evaluator
+        self._places: tuple[Ints, Floats] = np.empty(0, np.int64), np.empty(0)
         self.threads = threads
 
     @staticmethod
@@ -177,6 +178,10 @@ class SplineStack:
         if len(out) != count or out[0].shape != shape:
             out = [np.empty(shape) for _ in range(count)]
 
+        n_places = (n_d, *parameters.shape[:2])
+        if self.evaluator == "numba" and self._places[0].shape != n_places:
+            self._places = np.empty(n_places, np.int64), np.empty(n_places)
+
         def some(block: slice) -> None:
             if self.evaluator == "numba":
                 self._evaluate_compiled(block, parameters[block], out, second)
@@ -188,26 +193,23 @@ class SplineStack:
         map_blocks(some, self.n_shapes, _SHAPES_PER_BLOCK, self.threads)
         return Jet(out[0], tuple(out[1 : 1 + n_d]), tuple(out[1 + n_d :]))
 
-    def _locate_compiled(self, axis: int, parameters: Floats) -> tuple[Ints, Floats, Floats]:
-        """Return span index, local coordinate and 1 / span length, (n, n_P) each."""
+    def _locate_compiled(self, axis: int, block: slice, parameters: Floats) -> tuple[Ints, Floats, Floats]:
+        """Return span index, local coordinate and 1 / span length, (n, n_P) each; in equal spans without new memory."""
         if not self._uniform[axis]:
             index, local, inverse = self._locate(axis, parameters.ravel())
             shape = parameters.shape
             return index.reshape(shape), local.reshape(shape), np.broadcast_to(inverse.reshape(shape), shape)
         n_spans = len(self._ends[axis]) - 1
-        index, local = np.empty(parameters.shape, np.int64), np.empty(parameters.shape)
+        index, local = self._places[0][axis, block], self._places[1][axis, block]
         compiled.locator()(parameters, n_spans, self.periodic[axis], index, local)
         return index, local, np.broadcast_to(np.array(float(n_spans)), parameters.shape)
 
     def _evaluate_compiled(self, block: slice, parameters: Floats, out: list[Floats], second: bool) -> None:
         shape = (*self._blocks.shape[:2], *(p + 1 for p in self.degrees), self.dimension)
-        where = [self._locate_compiled(axis, parameters[..., axis]) for axis in range(self.n_directions)]
-        index = where[0][0]
-        if self.n_directions == 2:
-            index = index * (len(self._ends[1]) - 1) + where[1][0]
-        places = [array for w in where for array in w[1:]]
+        where = [self._locate_compiled(axis, block, parameters[..., axis]) for axis in range(self.n_directions)]
+        cells = (len(self._ends[1]) - 1,) if self.n_directions == 2 else ()
         run = compiled.kernel(self.n_directions, second)
-        run(self._blocks.reshape(shape)[block], index, *places, *(o[block] for o in out))
+        run(self._blocks.reshape(shape)[block], *cells, *(a for w in where for a in w), *(o[block] for o in out))
 
     def _evaluate_one(self, i: int, parameters: Floats, second: bool) -> list[Floats]:
         order = 2 if second else 1
