@@ -341,7 +341,7 @@ def _certificate(optimum: Optimum, ids: tuple[str, ...]) -> dict[str, Any]:
 STAGE = Stage(
     name="optimize",
     scope="cohort",
-    version=4,
+    version=5,
     config=Config,
     run=run,
     inputs=(Port("surface", "surface"), Port("transform", "transform"), Port("landmarks", "landmarks", optional=True)),
