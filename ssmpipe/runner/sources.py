@@ -14,7 +14,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from ssmpipe.core.errors import ArtifactError, ConfigError, GeometryError, LandmarkError, SsmpipeError
+from ssmpipe.core.errors import ArtifactError, ConfigError, GeometryError, LandmarkError
 from ssmpipe.runner.fingerprint import digest, file_digest
 
 ID = re.compile(r"(?!\.)[A-Za-z0-9._-]{1,64}")
@@ -316,9 +316,3 @@ def by_id(paths: Sequence[Path]) -> dict[str, Path]:
             raise ConfigError(f"two scans have the id '{shape_id}': {files[shape_id]} and {path}", "rename one of them")
         files[shape_id] = path
     return files
-
-
-def describe(error: SsmpipeError, *parts: str) -> str:
-    """Return one line: where, fact, remedy."""
-    where = ", ".join(part for part in parts if part)
-    return f"{where}: {error}" if where else str(error)

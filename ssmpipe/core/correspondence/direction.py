@@ -6,7 +6,7 @@ import numpy as np
 
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.errors import GeometryError
-from ssmpipe.core.spline.basis import design_matrix
+from ssmpipe.core.spline.basis import design_matrix, gauss_rule, periodic_design_matrix
 from ssmpipe.core.spline.knots import clamped_uniform_knots, greville
 
 
@@ -48,7 +48,6 @@ class Direction:
                 raise GeometryError(
                     f"a periodic spline of degree {degree} needs at least {degree + 1} coefficients, got {n_coefficients}"
                 )
-            self._knots = (np.arange(n_coefficients + 2 * degree + 1) - degree) / n_coefficients
             self.breakpoints = np.linspace(0.0, 1.0, n_coefficients + 1)
             self.identity = (np.arange(n_coefficients) - 0.5 * (degree - 1)) / n_coefficients
         else:
@@ -63,19 +62,13 @@ class Direction:
 
     def matrix(self, nodes: Floats, derivative: int = 0) -> Floats:
         """Return the (n, n_coefficients) basis, or its derivatives, at ``nodes`` in [0, 1]."""
-        if not self.periodic:
-            return design_matrix(nodes, self._knots, self.degree, derivative)
-        unfolded = design_matrix(nodes, self._knots, self.degree, derivative)
-        folded = unfolded[:, : self.n_coefficients].copy()
-        folded[:, : self.degree] += unfolded[:, self.n_coefficients :]
-        return folded
+        if self.periodic:
+            return periodic_design_matrix(nodes, self.n_coefficients, self.degree, derivative)
+        return design_matrix(nodes, self._knots, self.degree, derivative)
 
     def gauss_rule(self, n_per_span: int) -> tuple[Floats, Floats]:
         """Return Gauss-Legendre nodes and weights on every span; the weights sum to 1."""
-        nodes, weights = np.polynomial.legendre.leggauss(n_per_span)
-        half = 0.5 * np.diff(self.breakpoints)[:, None]
-        centre = 0.5 * (self.breakpoints[1:] + self.breakpoints[:-1])[:, None]
-        return (centre + half * nodes).ravel(), (half * weights).ravel()
+        return gauss_rule(self.breakpoints, n_per_span)
 
     def refinement(self, finer: Direction) -> Floats:
         """Return the matrix that maps coefficients of this space to those of a finer one that contains it.

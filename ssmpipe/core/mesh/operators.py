@@ -36,11 +36,6 @@ def vertex_normals(mesh: TriMesh) -> Floats:
     return _unit(face_to_vertex(mesh) @ face_vectors(mesh))
 
 
-def vertex_areas(mesh: TriMesh) -> Floats:
-    """Return one third of the area around each vertex, (n_vertices,) [mm^2]; they add up to the area of the mesh."""
-    return np.asarray(face_to_vertex(mesh) @ face_areas(mesh)) / 3.0
-
-
 def face_to_vertex(mesh: TriMesh) -> sparse.csr_matrix:
     """Return the (n_vertices, n_faces) incidence matrix: one where the face has the vertex."""
     rows = mesh.faces.ravel()

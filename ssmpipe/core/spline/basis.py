@@ -61,8 +61,28 @@ def difference_matrix(knots: Floats, degree: int) -> Floats:
     return matrix
 
 
+def periodic_design_matrix(parameters: Floats, n_spans: int, degree: int, derivative: int = 0) -> Floats:
+    """Return the (n, n_spans) periodic B-spline basis (or a derivative) on ``n_spans`` equal spans of [0, 1].
+
+    Column j belongs to the basis function on the spans ``j - degree ... j``, modulo ``n_spans``.
+
+    Examples
+    --------
+    >>> periodic_design_matrix(np.array([0.0, 1.0]), 4, 2)
+    array([[0.5, 0.5, 0. , 0. ],
+           [0.5, 0.5, 0. , 0. ]])
+    """
+    knots = np.arange(-degree, n_spans + degree + 1) / n_spans
+    basis = design_matrix(parameters, knots, degree, derivative)
+    folded = np.zeros((len(parameters), n_spans))
+    for start in range(0, basis.shape[1], n_spans):
+        part = basis[:, start : start + n_spans]
+        folded[:, : part.shape[1]] += part
+    return folded
+
+
 def gauss_rule(knots: Floats, n_per_span: int) -> tuple[Floats, Floats]:
-    """Return Gauss-Legendre nodes and weights on every knot span; exact for degree ``2 n_per_span - 1``.
+    """Return Gauss-Legendre nodes and weights on every span of a knot vector or of break points; exact for degree ``2 n_per_span - 1``.
 
     Returns
     -------

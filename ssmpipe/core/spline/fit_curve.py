@@ -13,7 +13,7 @@ from ssmpipe.core.errors import ConvergenceError, GeometryError
 from ssmpipe.core.outline.distance import point_to_segments
 from ssmpipe.core.outline.outline import edge_indices
 from ssmpipe.core.spline.arc_length import arc_length_at
-from ssmpipe.core.spline.basis import design_matrix
+from ssmpipe.core.spline.basis import design_matrix, gauss_rule, periodic_design_matrix
 from ssmpipe.core.spline.curve import BSplineCurve
 from ssmpipe.core.spline.fit import end_interpolating_solver
 from ssmpipe.core.spline.knots import clamped_uniform_knots
@@ -61,33 +61,13 @@ def data_parameters(points: Floats, spacing: Spacing = "chord", *, closed: bool 
     return np.asarray(sums[: len(points)] / sums[-1])
 
 
-def periodic_design_matrix(parameters: Floats, n_spans: int, degree: int, derivative: int = 0) -> Floats:
-    """Return the (n, n_spans) periodic B-spline basis (or a derivative) on ``n_spans`` equal spans of [0, 1].
-
-    Column j belongs to the basis function on the spans ``j - degree ... j``, modulo ``n_spans``.
-
-    Examples
-    --------
-    >>> periodic_design_matrix(np.array([0.0, 1.0]), 4, 2)
-    array([[0.5, 0.5, 0. , 0. ],
-           [0.5, 0.5, 0. , 0. ]])
-    """
-    knots = np.arange(-degree, n_spans + degree + 1) / n_spans
-    basis = design_matrix(parameters, knots, degree, derivative)
-    folded = np.zeros((len(parameters), n_spans))
-    for start in range(0, basis.shape[1], n_spans):
-        part = basis[:, start : start + n_spans]
-        folded[:, : part.shape[1]] += part
-    return folded
-
-
 def clamp_periodic(coefficients: Floats, degree: int) -> BSplineCurve:
     """Write a periodic spline on equal spans as a clamped one, exactly, by knot insertion at the seam (Boehm 1980).
 
     Parameters
     ----------
     coefficients : (n_spans, d) float64
-        As in :func:`periodic_design_matrix`.
+        As in :func:`ssmpipe.core.spline.basis.periodic_design_matrix`.
     degree : int
 
     Returns
@@ -284,10 +264,9 @@ def _periodic_fit(points: Floats, u: Floats, degree: int, n_spans: int, fairness
     basis = periodic_design_matrix(u, n_spans, degree)
     normal = basis.T @ basis / len(points)
     if fairness > 0 and degree > 1:
-        nodes, weights = np.polynomial.legendre.leggauss(degree)
-        at = (np.arange(n_spans)[:, None] + 0.5 + 0.5 * nodes).ravel() / n_spans
-        bending = periodic_design_matrix(at, n_spans, degree, 2)
-        normal = normal + fairness * bending.T @ (np.tile(0.5 * weights / n_spans, n_spans)[:, None] * bending)
+        nodes, weights = gauss_rule(np.linspace(0.0, 1.0, n_spans + 1), degree)
+        bending = periodic_design_matrix(nodes, n_spans, degree, 2)
+        normal = normal + fairness * bending.T @ (weights[:, None] * bending)
     try:
         factor = scipy.linalg.cho_factor(normal)
         pivots = np.diag(factor[0])

@@ -11,7 +11,7 @@ from ssmpipe.core.mesh.distance import (
     sample_surface,
     surface_deviation,
 )
-from ssmpipe.core.mesh.operators import surface_centroid, surface_covariance, vertex_areas
+from ssmpipe.core.mesh.operators import surface_centroid, surface_covariance
 from ssmpipe.core.mesh.primitives import flat_square, sphere, star_shape
 from ssmpipe.core.mesh.sections import section_areas
 from tests.support.meshes import random_motion
@@ -57,8 +57,7 @@ def test_samples_are_uniform_in_area():
     assert np.cov(points.T) == pytest.approx(surface_covariance(lump), rel=0.03, abs=5)
 
 
-def test_vertex_areas_sum_to_the_area_and_degenerate_triangles_do_not_break_barycentrics():
-    assert vertex_areas(flat_square()).sum() == pytest.approx(1.0)
+def test_degenerate_triangles_do_not_break_barycentrics():
     needle = np.array([[[0, 0, 0], [1, 0, 0], [0.5, 0, 0.0]]])
     assert barycentric_coordinates(np.array([[0.25, 0, 0]]), needle) == pytest.approx(np.array([[0.75, 0.25, 0]]))
 
