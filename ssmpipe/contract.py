@@ -15,7 +15,9 @@ contour           :class:`ssmpipe.core.outline.outline.Outline`                 
 landmarks         :class:`Landmarks`                                                           landmarks.json
 transform         (4, 4) float64, scan coordinates to the current frame [mm]                   transform.json
 info              :class:`ShapeInfo`                                                           info.json
-uv                (n_vertices, 2) float64 in the unit square, one row per mesh vertex          uv.npz
+seam              :class:`ssmpipe.core.parameterize.seam.Seam`, for what is not a disk         seam.npz
+uv                (n_vertices, 2) float64, one row per mesh vertex; unit square, period 1      uv.npz
+                  in u where there is a seam
 samples           (n_u, n_v, 3) float64                                                        samples.npz
 surface           :class:`ssmpipe.core.spline.surface.BSplineSurface` or BSplineCurve          surface.npz
 reference         what all shapes are aligned to, TriMesh or Outline; by ``Stage.prepare``     reference.ply, .csv

@@ -16,6 +16,7 @@ from ssmpipe.core.correspondence.correspondence import Correspondence
 from ssmpipe.core.errors import ArtifactError
 from ssmpipe.core.model.shape_model import ShapeModel
 from ssmpipe.core.outline.outline import Outline
+from ssmpipe.core.parameterize.seam import Seam
 from ssmpipe.io.arrays import read_npz, write_npz
 from ssmpipe.io.meshes import read_mesh, write_mesh
 from ssmpipe.io.outlines import read_outline, write_outline
@@ -36,7 +37,7 @@ def save_artifact(kind: str, slot: str, obj: Any, folder: Path) -> list[str]:
     Parameters
     ----------
     kind : str
-        ``trimesh outline landmarks transform info uv samples surface correspondence model table json meshes``.
+        ``trimesh outline landmarks transform info seam uv samples surface correspondence model table json meshes``.
     slot : str
         Its name in the chain; the file is named after it.
     obj : object
@@ -197,6 +198,17 @@ def _array_codec(name: str) -> tuple[Callable[..., list[str]], Callable[..., Any
     return save, load
 
 
+def _save_seam(slot: str, obj: Seam, folder: Path) -> list[str]:
+    poles = np.array(obj.poles, dtype=np.int64)
+    write_npz(folder / f"{slot}.npz", {"topology": np.array(obj.topology), "pairs": obj.pairs, "poles": poles})
+    return [f"{slot}.npz"]
+
+
+def _load_seam(paths: list[Path]) -> Seam:
+    arrays = read_npz(paths[0], ("topology", "pairs", "poles"))
+    return Seam(str(arrays["topology"]), arrays["pairs"], tuple(arrays["poles"].tolist()))  # type: ignore[arg-type]
+
+
 def _save_surface(slot: str, obj: Any, folder: Path) -> list[str]:
     write_spline(folder / f"{slot}.npz", obj)
     return [f"{slot}.npz"]
@@ -274,6 +286,7 @@ _CODECS: dict[str, tuple[Callable[..., list[str]], Callable[..., Any]]] = {
     "landmarks": (_save_landmarks, _load_landmarks),
     "transform": (_save_transform, _load_transform),
     "info": (_save_info, _load_info),
+    "seam": (_save_seam, _load_seam),
     "uv": _array_codec("uv"),
     "samples": _array_codec("samples"),
     "surface": (_save_surface, _load_surface),

@@ -18,6 +18,7 @@ from ssmpipe.core.errors import ArtifactError
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.model.shape_model import ShapeModel
 from ssmpipe.core.outline.outline import Outline
+from ssmpipe.core.parameterize.seam import Seam
 from ssmpipe.core.spline.surface import BSplineSurface
 from ssmpipe.io.codecs import KINDS, load_artifact, save_artifact
 
@@ -57,6 +58,7 @@ ARTIFACTS: dict[str, Any] = {
     "landmarks": Landmarks({"MFH": RNG.normal(size=3), "é": np.array([0.1, 1e-17])}, {"apex": "MFH"}),
     "transform": RNG.normal(size=(4, 4)) * 1e5,
     "info": ShapeInfo("femur_01", "L", {"group": "a", "age": "007"}),
+    "seam": Seam("cone", np.array([[0, 4], [1, 5]]), (7,)),
     "uv": RNG.uniform(size=(12, 2)),
     "samples": RNG.normal(size=(5, 6, 3)),
     "surface": BSplineSurface((2, 2), KNOTS, KNOTS, RNG.normal(size=(4, 4, 3))),
