@@ -9,10 +9,12 @@ import numpy as np
 from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.errors import ArtifactError, GeometryError
 from ssmpipe.core.mesh.trimesh import TriMesh
-from ssmpipe.io.mesh_formats import obj, off, ply, stl, vtk
+from ssmpipe.io.mesh_formats import obj, off, ply, stl, vtk, vtp
 from ssmpipe.io.mesh_formats.polygons import EXPORT_AGAIN
 
-_PARSERS = {".stl": stl.parse, ".ply": ply.parse, ".obj": obj.parse, ".off": off.parse, ".vtk": vtk.parse}
+_PARSERS = {
+    ".stl": stl.parse, ".ply": ply.parse, ".obj": obj.parse, ".off": off.parse, ".vtk": vtk.parse, ".vtp": vtp.parse,
+}  # fmt: skip
 
 MESH_SUFFIXES = tuple(_PARSERS)
 """Suffixes that :func:`read_mesh` accepts, in lower case."""
@@ -29,7 +31,7 @@ def read_mesh(path: Path) -> TriMesh:
     Parameters
     ----------
     path : Path
-        ``.stl .ply .obj .off`` or legacy ``.vtk`` (PolyData), in either case.
+        ``.stl .ply .obj .off``, legacy ``.vtk`` (PolyData) or ``.vtp``, in upper or lower case.
 
     Returns
     -------
@@ -44,7 +46,7 @@ def read_mesh(path: Path) -> TriMesh:
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in _PARSERS:
-        remedy = "save it as legacy .vtk or as .ply" if suffix in (".vtp", ".vtu") else "convert it to .ply"
+        remedy = "extract the surface and save it as .vtp or .ply" if suffix == ".vtu" else "convert it to .ply"
         raise ArtifactError(
             f"'{path.suffix}' is not a surface format that can be read ({' '.join(MESH_SUFFIXES)})", remedy
         )

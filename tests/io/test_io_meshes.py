@@ -246,7 +246,7 @@ HOSTILE: dict[str, tuple[str, bytes, str]] = {
     "vtk without a third line": ("a.vtk", b"# vtk DataFile Version 3.0\n", "third line"),
     "vtk with NaN": ("a.vtk", vtk().replace(b"0.0 0.0 0.0", b"nan 0.0 0.0"), "1 of 4 vertices"),
     "vtk bad offsets": ("a.vtk", vtk5(binary=False).replace(b"0 3 6 9 12", b"0 3 9 6 12"), "offsets"),
-    "vtp": ("a.vtp", b"<VTKFile type='PolyData'/>", "legacy .vtk"),
+    "vtu": ("a.vtu", b"<VTKFile/>", "save it as .vtp"),
     "unknown suffix": ("a.3ds", stl_binary(), "'.3ds'"),
     "no suffix": ("a", stl_binary(), "''"),
 }
@@ -323,7 +323,7 @@ def test_other_formats_round_trip(suffix: str, atol: float, tmp_path: Path) -> N
 def test_unknown_suffix_is_not_written(tmp_path: Path) -> None:
     with pytest.raises(ArtifactError, match=r"'\.xyz'"):
         write_mesh(tmp_path / "a.xyz", TriMesh(V, F))
-    assert set(MESH_SUFFIXES) == {".stl", ".ply", ".obj", ".off", ".vtk"}
+    assert set(MESH_SUFFIXES) == {".stl", ".ply", ".obj", ".off", ".vtk", ".vtp"}
 
 
 def test_stl_corners_at_minus_zero_are_merged() -> None:

@@ -53,6 +53,18 @@ def triangulate(corners: Ints, flat: Ints) -> Ints:
     return np.stack([flat[base], flat[base + step + 1], flat[base + step + 2]], axis=1).astype(np.int64).reshape(-1, 3)
 
 
+def strips_to_triangles(lengths: Ints, flat: Ints) -> Ints:
+    """Turn triangle strips into triangles; every second one is turned round, as the format says."""
+    if len(lengths) and lengths.min() < 3:
+        raise ArtifactError(f"a triangle strip has {int(lengths.min())} points, it needs 3", EXPORT_AGAIN)
+    n = lengths - 2
+    base = np.repeat(np.cumsum(lengths) - lengths, n)
+    step = np.arange(len(base)) - np.repeat(np.cumsum(n) - n, n)
+    i = base + step
+    odd = step % 2
+    return np.stack([flat[i], flat[i + 1 + odd], flat[i + 2 - odd]], axis=1).reshape(-1, 3)
+
+
 def to_floats(tokens: Sequence[bytes], what: str) -> Floats:
     """Turn text tokens into numbers, or refuse with the first that is none.
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.errors import ArtifactError
-from ssmpipe.io.mesh_formats.polygons import EXPORT_AGAIN, to_floats, to_ints, triangulate
+from ssmpipe.io.mesh_formats.polygons import EXPORT_AGAIN, strips_to_triangles, to_floats, to_ints, triangulate
 
 _TYPES = {
     "float": "f4", "double": "f8", "int": "i4", "unsigned_int": "u4", "short": "i2", "unsigned_short": "u2",
@@ -98,18 +98,6 @@ def _cells(cursor: _Cursor, words: list[str], version: float) -> tuple[Ints, Int
     return lengths, mixed[keep]
 
 
-def _strips(lengths: Ints, flat: Ints) -> Ints:
-    """Turn triangle strips into triangles; every second one is turned round, as the format says."""
-    if len(lengths) and lengths.min() < 3:
-        raise ArtifactError(f"a triangle strip has {int(lengths.min())} points, it needs 3", EXPORT_AGAIN)
-    n = lengths - 2
-    base = np.repeat(np.cumsum(lengths) - lengths, n)
-    step = np.arange(len(base)) - np.repeat(np.cumsum(n) - n, n)
-    i = base + step
-    odd = step % 2
-    return np.stack([flat[i], flat[i + 1 + odd], flat[i + 2 - odd]], axis=1).reshape(-1, 3)
-
-
 def parse(data: bytes) -> tuple[Floats, Ints]:
     """Read a legacy VTK file that holds POLYDATA.
 
@@ -147,7 +135,7 @@ def parse(data: bytes) -> tuple[Floats, Ints]:
                 if key == "POLYGONS":
                     triangles.append(triangulate(lengths, flat))
                 elif key == "TRIANGLE_STRIPS":
-                    triangles.append(_strips(lengths, flat))
+                    triangles.append(strips_to_triangles(lengths, flat))
             elif key == "METADATA":
                 end = re.search(rb"\n[ \t\r]*\n", data[cursor.at - 1 :])
                 cursor.at = cursor.at - 1 + end.end() if end else len(data)
