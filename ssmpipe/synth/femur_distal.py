@@ -13,15 +13,14 @@ belong together, which is what correspondence methods are tested with.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.special import ndtri
 
 from ssmpipe.core.arrays import Floats, Ints
+from ssmpipe.synth._scans import apply, grain, scanner_pose, spread_scores, write_json, write_scan
 from ssmpipe.synth.implicit import (
     Field,
     ellipsoid,
@@ -176,22 +175,6 @@ def deform(points: Floats, scores: Floats, own: Callable[[Floats], Floats] | Non
     return (1 + 0.05 * scores[0]) * moved
 
 
-def spread_scores(n: int, rng: np.random.Generator, n_draws: int = 300) -> Floats:
-    """Return (n, n_modes) scores: in each mode the n quantiles of the normal distribution, in random order.
-
-    Of ``n_draws`` random orders the one whose modes are least correlated is taken, so that few shapes tell them apart.
-
-    Examples
-    --------
-    >>> spread_scores(3, np.random.default_rng(0)).std(axis=0, ddof=1).round(2).tolist()
-    [0.97, 0.97, 0.97, 0.97, 0.97]
-    """
-    quantiles = ndtri((np.arange(n) + 0.5) / n)
-    draws = [rng.permuted(np.tile(quantiles[:, None], len(MODES)), axis=0) for _ in range(n_draws)]
-    apart = [np.abs(np.triu(draw.T @ draw, k=1)).max() for draw in draws]
-    return draws[int(np.argmin(apart))]
-
-
 def template_mesh(spacing: float = 3.6) -> tuple[Floats, Ints]:
     """Return the template's surface below :data:`TRUTH_TOP`: vertices exactly on it, triangles outward."""
     vertices, faces = polygonize(template_field, _LOWER, _UPPER, spacing, np.eye(4))
@@ -258,36 +241,11 @@ def raw_scan(scores: Floats, rng: np.random.Generator, own: Field, spacing: floa
     return vertices, faces
 
 
-def grain(
-    points: Floats, rng: np.random.Generator, rms: float = 0.12, length: float = 2.0, n_waves: int = 200
-) -> Floats:
-    """Return correlated Gaussian noise at (n, 3) points (random Fourier features; Rahimi and Recht, 2007) [mm].
-
-    Correlated over ``length``, so that the slivers of a marching-cubes surface do not fold over.
-    """
-    waves = rng.normal(scale=1 / length, size=(n_waves, 3))
-    phases = rng.uniform(0, 2 * np.pi, n_waves)
-    return rms * np.sqrt(2 / n_waves) * np.cos(points @ waves.T + phases).sum(axis=1)
-
-
 def _speck(centre: Floats, radius: float) -> tuple[Floats, Ints]:
     import trimesh  # slow to import: only when needed
 
     sphere = trimesh.creation.icosphere(subdivisions=1, radius=radius)
     return np.asarray(sphere.vertices) + centre, np.asarray(sphere.faces, dtype=np.int64)
-
-
-def scanner_pose(rng: np.random.Generator, left: bool) -> Floats:
-    """Return a (4, 4) map from the right-femur frame to scanner coordinates [mm]; a left femur is mirrored first."""
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.random(random_state=rng).as_matrix()
-    pose[:3, 3] = rng.uniform(-300.0, 300.0, 3)
-    return pose @ np.diag([-1.0 if left else 1.0, 1.0, 1.0, 1.0])
-
-
-def apply(matrix: Floats, points: Floats) -> Floats:
-    """Apply a (4, 4) matrix to (n, 3) points."""
-    return points @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 def write_cohort(out_dir: Path, n: int = 12, seed: int = 0, spacing: float = 2.2) -> None:
@@ -307,13 +265,11 @@ def write_cohort(out_dir: Path, n: int = 12, seed: int = 0, spacing: float = 2.2
     spacing : float
         Grid spacing of the marching cubes [mm]: 2.2 gives about 13,000 faces, 2.9 about 7,500.
     """
-    import trimesh  # slow to import: only when needed
-
     if n < 2:
         raise ValueError(f"a cohort needs at least 2 shapes, got {n}")
     scans = Path(out_dir) / "scans"
     scans.mkdir(parents=True, exist_ok=True)
-    scores = spread_scores(n, np.random.default_rng([seed, 0]))
+    scores = spread_scores(n, len(MODES), np.random.default_rng([seed, 0]))
     template, truth_faces = template_mesh()
     landmarks = template_landmarks(template_mesh(2.0)[0])
     marks = np.array([landmarks[name] for name in LANDMARKS])
@@ -325,8 +281,7 @@ def write_cohort(out_dir: Path, n: int = 12, seed: int = 0, spacing: float = 2.2
         left = i % 2 == 1
         own, pose = own_field(rng), scanner_pose(rng, left)
         vertices, faces = raw_scan(scores[i], rng, own, spacing, i in with_debris)
-        scan = trimesh.Trimesh(apply(pose, vertices), faces[:, ::-1] if left else faces, process=False)
-        (scans / f"{shape_id}.ply").write_bytes(scan.export(file_type="ply"))
+        write_scan(scans / f"{shape_id}.ply", apply(pose, vertices), faces[:, ::-1] if left else faces)
         points.append(apply(pose, deform(template, scores[i], own)))
         poses.append(pose)
         moved = apply(pose, deform(marks, scores[i], own))
@@ -345,8 +300,8 @@ def write_cohort(out_dir: Path, n: int = 12, seed: int = 0, spacing: float = 2.2
     }
     np.savez(Path(out_dir) / "truth.npz", **truth)  # type: ignore[arg-type]
     (Path(out_dir) / "cohort.csv").write_text("\n".join(rows) + "\n", encoding="utf-8", newline="\n")
-    _write_json(Path(out_dir) / "landmarks.json", table)
-    _write_json(
+    write_json(Path(out_dir) / "landmarks.json", table)
+    write_json(
         Path(out_dir) / "truth.json",
         {
             "seed": seed,
@@ -362,7 +317,3 @@ def write_cohort(out_dir: Path, n: int = 12, seed: int = 0, spacing: float = 2.2
             },
         },
     )
-
-
-def _write_json(path: Path, content: object) -> None:
-    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8", newline="\n")

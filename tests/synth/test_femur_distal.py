@@ -106,7 +106,7 @@ def test_own_variation_has_the_stated_size() -> None:
 
 
 def test_scores_are_spread_and_hardly_correlated() -> None:
-    scores = fd.spread_scores(12, np.random.default_rng(0))
+    scores = fd.spread_scores(12, 5, np.random.default_rng(0))
     assert np.allclose(scores.mean(axis=0), 0, atol=1e-12)
     assert np.abs(np.corrcoef(scores.T) - np.eye(5)).max() < 0.4
 
@@ -197,4 +197,4 @@ def test_committed_cohort_is_small_and_complete() -> None:
     assert sum(p.stat().st_size for p in files) < 3_000_000
     assert len(list((COMMITTED / "scans").glob("*.ply"))) == 6
     scores = np.load(COMMITTED / "truth.npz")["scores"]
-    assert np.allclose(scores, fd.spread_scores(6, np.random.default_rng([0, 0])))
+    assert np.allclose(scores, fd.spread_scores(6, 5, np.random.default_rng([0, 0])))
