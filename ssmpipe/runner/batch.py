@@ -17,10 +17,12 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import TimeoutError as FutureTimeout
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+from filelock import FileLock
 
 from ssmpipe.core.errors import SsmpipeError
 from ssmpipe.runner.execute import DiskError, TaskRecord, failure_of, run_task, write_atomically
@@ -50,6 +52,8 @@ class Job:
     ids: tuple[str, ...] = ()
     forced: frozenset[str] = frozenset()
     prepare: bool = False
+    lock: Path | None = None
+    """Held during the job, where several runs share a folder: one waits for the other and then finds the work done."""
 
     @property
     def key(self) -> str:
@@ -99,6 +103,11 @@ class Event:
 
 def run_job(job: Job, events: Path, memory_mb: int | None) -> Outcome:
     """Run a job; called in the child process."""
+    with FileLock(job.lock) if job.lock is not None else nullcontext():
+        return _run_job(job, events, memory_mb)
+
+
+def _run_job(job: Job, events: Path, memory_mb: int | None) -> Outcome:
     records: list[TaskRecord] = []
     scans: dict[str, dict[str, Any]] = {}
     current = ""

@@ -282,16 +282,18 @@ class _Run:
         for step in self.chosen.steps:
             if not (self.chosen.partial and step.prepares) or self.workspace.prepared_is_usable(step):
                 continue
-            members = prepare_members(step, sorted(self.project.sources))
-            if self.options.part is not None and not set(members) <= wanted:
-                slot = step.prepared[0].slot
-                raise ConfigError(
-                    f"--part: '{step.id}' has to make its {slot} from {len(members)} shapes, and this part has not all of them",
-                    f"name a shape or a file in stages.{step.id}.{slot}, or run the parts up to the stage before (--to) and "
-                    f"then 'run --only {step.id}' once",
-                )
-            wanted |= set(members)
-        return sorted(wanted)
+            wanted |= set(prepare_members(step, sorted(self.project.sources)))
+        # a part begins with its own shapes: when it comes to the others, their parts have mostly done them
+        return sorted(wanted, key=lambda shape: (shape not in self.chosen.shapes, shape))
+
+    def _lock(self, key: str) -> Path | None:
+        """Return what parts of a run lock while they work on a shape, or on what is common to all."""
+        if self.options.part is None:
+            return None
+        folder = self.project.out / ".locks"
+        with disk_errors():
+            folder.mkdir(exist_ok=True)
+        return folder / key
 
     # --- segments ---
 
@@ -311,7 +313,14 @@ class _Run:
         if current:
             self.console.say(f"{text}: {current} of {len(wanted)} shapes are up to date", level=0 if not busy else 1)
         jobs = [
-            Job(self.workspace.only([shape]), names, shape, (shape,), self.chosen.forced & set(names))
+            Job(
+                self.workspace.only([shape]),
+                names,
+                shape,
+                (shape,),
+                self.chosen.forced & set(names),
+                lock=self._lock(f"shape-{shape}"),
+            )
             for shape in wanted
             if shape in busy
         ]
@@ -379,7 +388,16 @@ class _Run:
             )
             return
         self._group_job(
-            batch, Job(self.workspace.only(ids), (step.id,), None, tuple(ids), self.chosen.forced, prepare=True)
+            batch,
+            Job(
+                self.workspace.only(ids),
+                (step.id,),
+                None,
+                tuple(ids),
+                self.chosen.forced,
+                prepare=True,
+                lock=self._lock(f"prepare-{step.id}"),
+            ),
         )
         self.alive = [i for i in self.alive if i in self.chosen.shapes]
 

@@ -26,8 +26,8 @@ def data(out: Path) -> dict[str, bytes]:
     }
 
 
-@pytest.mark.slow
-def test_kill_at_random_moments(write_config: Callable[..., Path]) -> None:
+@pytest.mark.parametrize("n_kills", [4, pytest.param(60, marks=pytest.mark.slow)])
+def test_kill_at_random_moments(n_kills: int, write_config: Callable[..., Path]) -> None:
     config = write_config(stages=["grow", {"shift": {"noise": 0.1}}, "total"])
     env = {**os.environ, "SSMPIPE_STAGES": str(TOY)}
     command = [sys.executable, "-m", "ssmpipe.cli", "run", str(config), "-q", "-j", "2"]
@@ -36,7 +36,7 @@ def test_kill_at_random_moments(write_config: Callable[..., Path]) -> None:
     clean = data(out)
     shutil.rmtree(out)
     rng = random.Random(0)
-    for k in range(20):
+    for k in range(n_kills):
         process = subprocess.Popen(command, env=env)
         time.sleep(rng.uniform(0.3, 1.2))
         process.kill()

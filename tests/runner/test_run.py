@@ -408,8 +408,6 @@ def test_reference_from_a_file(run: Run, tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_parts(run: Run, project: Load, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="'shift' has to make its reference from 4 shapes"):
-        run(options=RunOptions(part=(1, 2)))
     for number in (1, 2):
         result = run(options=RunOptions(part=(number, 2), last="grow"))
         assert (result.exit_code, result.n_run) == (0, 2)
@@ -419,6 +417,15 @@ def test_parts(run: Run, project: Load, tmp_path: Path) -> None:
     assert run(options=RunOptions(part=(2, 2))).ok == ["b", "d"]
     with pytest.raises(ConfigError, match="--part 3/2"):
         run(options=RunOptions(part=(3, 2)))
+
+
+def test_a_part_makes_the_reference_that_no_other_part_has_made(run: Run, tmp_path: Path) -> None:
+    first = run(options=RunOptions(part=(1, 2)))
+    assert (first.exit_code, first.ok, first.n_run) == (0, ["a", "c"], 6)
+    assert [(tmp_path / f"out/shapes/{i}/02-shift").exists() for i in "abcd"] == [True, False, True, False]
+    second = run(options=RunOptions(part=(2, 2)))
+    assert (second.exit_code, second.ok, second.n_run) == (0, ["b", "d"], 2)
+    assert run().n_run == 1
 
 
 def test_only_needs_what_comes_before(run: Run) -> None:
