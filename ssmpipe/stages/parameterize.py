@@ -1,11 +1,11 @@
-"""Map the surface one-to-one to the unit square."""
+"""Map the surface one-to-one to the unit square; what is not a disk with period 1 in u."""
 
 from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from ssmpipe.contract import Context, Landmarks, Port, Stage, StageConfig
 from ssmpipe.core.arrays import Floats
@@ -21,15 +21,26 @@ from ssmpipe.core.parameterize.boundary import (
     rim_of,
     split_chords,
 )
+from ssmpipe.core.parameterize.cone import parameterize_poles
 from ssmpipe.core.parameterize.distortion import folded
+from ssmpipe.core.parameterize.poles import apex_of, ends_of
 from ssmpipe.core.parameterize.stretch import parameterize_square
 
 ROLES = ("corner_1", "corner_2", "corner_3", "corner_4")
+POLE_ROLES = ("apex", "antapex", "seam")
+Vector = tuple[float, float, float]
 
 
 class Config(StageConfig):
     """Options of parameterize."""
 
+    topology: Annotated[
+        Literal["disk", "cone", "closed"],
+        Field(
+            description="What the surface is. disk: one rim, laid around the square; cone: one rim (v = 0) and an apex (v = 1), periodic "
+            "in u; closed: two poles, periodic in u."
+        ),
+    ] = "disk"
     corner_angles_deg: Annotated[
         tuple[float, float, float, float],
         Field(
@@ -51,10 +62,103 @@ class Config(StageConfig):
         float, Field(ge=0, le=1, description="Exponent of the neighbour's stretch in the relaxation [-].")
     ] = 0.5
     max_iterations: Annotated[int, Field(ge=0, description="Rounds of stretch relaxation at most [count].")] = 50
+    n_remap: Annotated[
+        int,
+        Field(
+            ge=0,
+            le=50,
+            description="Coefficients of the monotone changes of u and of v that end a map with poles; 0 makes none [count].",
+        ),
+    ] = 10
+    seam_direction: Annotated[
+        Vector,
+        Field(
+            description="Side on which u = 0 runs where a map has poles and no landmark has the role seam, in the aligned frame [-]."
+        ),
+    ] = (0.0, 1.0, 0.0)
+    pole_direction: Annotated[
+        Vector,
+        Field(
+            description="The end of a closed surface that lies farther along it is the apex, the other one the antapex, where no "
+            "landmarks have these roles; in the aligned frame [-]."
+        ),
+    ] = (1.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Config:
+        if not any(self.seam_direction) or not any(self.pole_direction):
+            raise ValueError("seam_direction and pole_direction must not be zero vectors")
+        if 0 < self.n_remap < 4:
+            raise ValueError("n_remap must be 0 or at least 4")
+        return self
 
 
 def run(mesh: TriMesh, landmarks: Landmarks | None = None, *, cfg: Config, ctx: Context) -> dict[str, Any]:
-    """Parameterize one shape; see :func:`ssmpipe.core.parameterize.stretch.parameterize_square`."""
+    """Parameterize one shape by its corners or by its poles."""
+    if cfg.topology == "disk":
+        return _square(mesh, landmarks, cfg, ctx)
+    return _poles(mesh, landmarks if landmarks is not None else Landmarks(), cfg, ctx)
+
+
+def _poles(mesh: TriMesh, marks: Landmarks, cfg: Config, ctx: Context) -> dict[str, Any]:
+    """See :func:`ssmpipe.core.parameterize.cone.parameterize_poles`."""
+    apex, seam_point = marks.role("apex"), marks.role("seam")
+    antapex = marks.role("antapex") if cfg.topology == "closed" else None
+    ctx.metric("apex_from", "geometry" if apex is None else "landmark")
+    ctx.metric("seam_from", "direction" if seam_point is None else "landmark")
+    if cfg.topology == "closed" and (apex is None) != (antapex is None):
+        raise LandmarkError(
+            f"a closed surface needs both poles; missing: {'apex' if apex is None else 'antapex'}",
+            "assign the missing one in input.roles, or none of the two to let geometry decide",
+        )
+    if apex is None and cfg.topology == "cone":
+        apex = apex_of(mesh)
+    elif apex is None:
+        antapex, apex, factor, cosine = ends_of(mesh, np.array(cfg.pole_direction))
+        ctx.metric("long_axis_factor", factor)
+        if factor < 1.1:
+            ctx.warn(
+                f"the surface has no distinct longest way (the next one is within {100 * (factor - 1):.0f} %), so its poles are nearly "
+                "arbitrary; assign landmarks to apex and antapex"
+            )
+        if cosine < 0.3:
+            ctx.warn(
+                "the poles lie across parameterize.pole_direction, so which one is the apex is nearly arbitrary; set the direction along "
+                "the surface, or assign landmarks to apex and antapex"
+            )
+    assert apex is not None
+    found = parameterize_poles(
+        mesh,
+        apex,
+        antapex,
+        seam_point=seam_point,
+        seam_direction=np.array(cfg.seam_direction),
+        eta=cfg.eta,
+        max_iterations=cfg.max_iterations,
+        n_remap=cfg.n_remap,
+    )
+    ctx.metric("stretch_before", float(found.stretch[0]))
+    ctx.metric("stretch", float(found.stretch[-1]))
+    ctx.metric("n_iterations", found.n_rounds)
+    ctx.metric("n_flips", 0)
+    ctx.metric("n_flips_harmonic", found.n_folds_harmonic)
+    ctx.metric("pole_ring_percent", [float(100.0 * r) for r in found.ring])
+    ctx.metric("apex_mm", [float(x) for x in found.mesh.vertices[found.seam.poles[-1]]])
+    ctx.metric("n_vertices", found.mesh.n_vertices)
+    ctx.metric("n_faces", found.mesh.n_faces)
+    ctx.metric("euler_characteristic", euler_characteristic(found.mesh.faces))
+    if found.n_folds_harmonic:
+        ctx.warn(
+            f"the harmonic map turned {found.n_folds_harmonic} triangles over, so negative weights were raised; smooth or decimate "
+            "the mesh first to avoid it"
+        )
+    if not found.settled and cfg.max_iterations > 0:
+        ctx.warn(f"stretch still fell after {found.n_rounds} iterations; raise parameterize.max_iterations")
+    return {"mesh": found.mesh, "uv": found.uv, "seam": found.seam}
+
+
+def _square(mesh: TriMesh, landmarks: Landmarks | None, cfg: Config, ctx: Context) -> dict[str, Any]:
+    """See :func:`ssmpipe.core.parameterize.stretch.parameterize_square`."""
     wanted, source = _wanted_corners(mesh, landmarks, cfg, ctx)
     with_corners, corners, away = insert_corners(mesh, wanted)
     disk = split_chords(with_corners)
@@ -78,7 +182,7 @@ def run(mesh: TriMesh, landmarks: Landmarks | None = None, *, cfg: Config, ctx: 
         ctx.metric("corner_distance_max_mm", float(away.max()))
     if result.status == "out-of-iterations" and cfg.max_iterations > 0:
         ctx.warn(f"stretch still fell after {result.n_iterations} iterations; raise parameterize.max_iterations")
-    return {"mesh": disk, "uv": result.value}
+    return {"mesh": disk, "uv": result.value, "seam": None}
 
 
 def _wanted_corners(mesh: TriMesh, landmarks: Landmarks | None, cfg: Config, ctx: Context) -> tuple[Floats, str]:
@@ -115,9 +219,9 @@ STAGE = Stage(
     config=Config,
     run=run,
     inputs=(Port("mesh", "trimesh"), Port("landmarks", "landmarks", optional=True)),
-    outputs=(Port("mesh", "trimesh"), Port("uv", "uv")),
+    outputs=(Port("mesh", "trimesh"), Port("uv", "uv"), Port("seam", "seam", optional=True)),
     methods="Surfaces were mapped to the unit square ({weighting} weights, boundary by arc length between four corners) and their "
     "stretch was minimized.",
     cites=("floater2003", "yoshizawa2004", "li2015"),
-    roles=ROLES,
+    roles=(*ROLES, *POLE_ROLES),
 )

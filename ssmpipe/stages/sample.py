@@ -11,6 +11,7 @@ from ssmpipe.contract import Context, Port, Stage, StageConfig
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.parameterize.sampling import sample_grid
+from ssmpipe.core.parameterize.seam import Seam
 
 
 class Config(StageConfig):
@@ -22,9 +23,9 @@ class Config(StageConfig):
     ] = (200, 200)
 
 
-def run(mesh: TriMesh, uv: Floats, *, cfg: Config, ctx: Context) -> dict[str, Any]:
+def run(mesh: TriMesh, uv: Floats, seam: Seam | None = None, *, cfg: Config, ctx: Context) -> dict[str, Any]:
     """Sample one shape; see :func:`ssmpipe.core.parameterize.sampling.sample_grid`."""
-    samples = sample_grid(mesh, uv, *cfg.grid)
+    samples = sample_grid(mesh, uv, *cfg.grid, seam=seam)
     steps = [np.linalg.norm(np.diff(samples, axis=axis), axis=2) for axis in (0, 1)]
     ctx.metric("n_samples", samples.shape[0] * samples.shape[1])
     ctx.metric("largest_step_mm", float(max(s.max() for s in steps)))
@@ -38,7 +39,7 @@ STAGE = Stage(
     version=1,
     config=Config,
     run=run,
-    inputs=(Port("mesh", "trimesh"), Port("uv", "uv")),
+    inputs=(Port("mesh", "trimesh"), Port("uv", "uv"), Port("seam", "seam", optional=True)),
     outputs=(Port("samples", "samples"),),
     methods="Each surface was sampled at a regular {grid} grid of its square by barycentric interpolation.",
     cites=("li2015",),

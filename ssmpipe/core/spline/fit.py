@@ -66,7 +66,8 @@ def fit_surface(
     """Fit a B-spline surface to samples on a regular grid of the unit square.
 
     The four boundary curves are fitted from the boundary samples alone and pass through the corner samples; so two fits
-    that share a row of samples share the boundary curve exactly.
+    that share a row of samples share the boundary curve exactly. Where the first and the last row are equal the surface closes
+    exactly, and a column of equal samples stays one point.
 
     Parameters
     ----------
@@ -110,6 +111,12 @@ def fit_surface(
         solvers.append(end_interpolating_solver(np.linspace(0, 1, m), knots[axis], degree[axis], fairness=fairness))
     rows = np.tensordot(solvers[0], samples, axes=(1, 0))
     control = np.moveaxis(np.tensordot(solvers[1], rows, axes=(1, 1)), 0, 1)
+    # where the samples close, the surface closes to the bit: products of equal rows may differ in the last one
+    if np.array_equal(samples[0], samples[-1]):
+        control[-1] = control[0]
+    for column in (0, -1):
+        if (samples[:, column] == samples[0, column]).all():
+            control[:, column] = samples[0, column]
     return BSplineSurface(degree, knots[0], knots[1], control)
 
 

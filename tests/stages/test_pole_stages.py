@@ -1,0 +1,93 @@
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from ssmpipe.contract import Context, Landmarks
+from ssmpipe.core.errors import LandmarkError
+from ssmpipe.core.mesh.primitives import sphere, star_shape
+from ssmpipe.core.repair.trimming import trim
+from ssmpipe.stages import fit, parameterize, sample
+from tests.support.meshes import noisy
+
+Z = np.array([0, 0, 1.0])
+
+
+def go(stage, options=None, **inputs):
+    ctx = Context("shape", np.random.default_rng(0), logging.getLogger("test"))
+    return stage.run(**inputs, cfg=stage.Config(**(options or {})), ctx=ctx), ctx
+
+
+def cap():
+    return trim(star_shape(4), -10.0 * Z, -Z)
+
+
+def test_a_cap_goes_through_to_a_spline_that_closes():
+    made, ctx = go(parameterize, {"topology": "cone"}, mesh=cap())
+    assert not ctx.warnings
+    assert ctx.metrics["apex_from"] == "geometry"
+    assert ctx.metrics["seam_from"] == "direction"
+    assert ctx.metrics["stretch"] < 1.1 < ctx.metrics["stretch_before"]
+    assert max(ctx.metrics["pole_ring_percent"]) < 3.0
+    assert ctx.metrics["euler_characteristic"] == 1
+    assert made["seam"].topology == "cone"
+    samples, _ = go(sample, {"grid": (80, 80)}, **made)
+    fitted, ctx = go(fit, {"n_control": (30, 30)}, samples=samples["samples"], mesh=made["mesh"])
+    control = fitted["surface"].control_points
+    assert np.array_equal(control[0], control[-1])
+    assert (control[:, -1] == control[0, -1]).all()
+    assert ctx.metrics["spline_to_mesh_rms_mm"] < 0.2
+
+
+def test_landmarks_place_poles_and_seam():
+    lump = star_shape(4)
+    points = {
+        "top": lump.vertices[np.argmax(lump.vertices[:, 2])],
+        "bottom": lump.vertices[np.argmin(lump.vertices[:, 2])],
+    }
+    points["side"] = lump.vertices[np.argmin(lump.vertices[:, 0])]
+    roles = {"apex": "top", "antapex": "bottom", "seam": "side"}
+    made, ctx = go(parameterize, {"topology": "closed"}, mesh=lump, landmarks=Landmarks(points, roles))
+    assert (ctx.metrics["apex_from"], ctx.metrics["seam_from"]) == ("landmark", "landmark")
+    poles = made["mesh"].vertices[list(made["seam"].poles)]
+    assert poles == pytest.approx(np.array([points["bottom"], points["top"]]))
+    samples, _ = go(sample, {"grid": (60, 200)}, **made)
+    assert np.linalg.norm(samples["samples"][0] - points["side"], axis=1).min() < 1.0
+    with pytest.raises(LandmarkError, match=r"needs both poles; missing: antapex"):
+        go(parameterize, {"topology": "closed"}, mesh=lump, landmarks=Landmarks(points, {"apex": "top"}))
+
+
+def test_options_change_what_they_say():
+    mesh = cap()
+    plain, ctx = go(parameterize, {"topology": "cone", "max_iterations": 0, "n_remap": 0}, mesh=mesh)
+    assert ctx.metrics["stretch"] == ctx.metrics["stretch_before"]
+    remapped, _ = go(parameterize, {"topology": "cone", "max_iterations": 0}, mesh=mesh)
+    relaxed, _ = go(parameterize, {"topology": "cone", "n_remap": 0}, mesh=mesh)
+    turned, _ = go(parameterize, {"topology": "cone", "seam_direction": (1.0, 0.0, 0.0)}, mesh=mesh)
+    maps = [m["uv"] for m in (plain, remapped, relaxed, turned)]
+    assert all(not np.allclose(maps[i], maps[j]) for i in range(4) for j in range(i))
+    lump = star_shape(3)
+    up, _ = go(parameterize, {"topology": "closed", "pole_direction": (0.0, 0.0, 1.0)}, mesh=lump)
+    down, _ = go(parameterize, {"topology": "closed", "pole_direction": (0.0, 0.0, -1.0)}, mesh=lump)
+    ends = [m["mesh"].vertices[list(m["seam"].poles)] for m in (up, down)]
+    assert ends[0] == pytest.approx(ends[1][::-1])
+    with pytest.raises(ValidationError, match="must not be zero"):
+        parameterize.Config(seam_direction=(0.0, 0.0, 0.0))
+    with pytest.raises(ValidationError, match="at least 4"):
+        parameterize.Config(n_remap=2)
+
+
+def test_arbitrary_choices_are_told():
+    _, ctx = go(parameterize, {"topology": "closed"}, mesh=sphere(10.0, 3))
+    assert "no distinct longest way" in ctx.warnings[0]
+    _, ctx = go(parameterize, {"topology": "closed", "pole_direction": (0.0, 1.0, 0.0)}, mesh=star_shape(3))
+    assert "lie across parameterize.pole_direction" in ctx.warnings[0]
+    rough = noisy(cap(), np.random.default_rng(4), 1.5)
+    _, ctx = go(parameterize, {"topology": "cone"}, mesh=rough)
+    assert "the harmonic map turned" in ctx.warnings[0]
+    assert ctx.metrics["n_flips"] == 0
+    _, ctx = go(parameterize, {"topology": "cone", "max_iterations": 1}, mesh=cap())
+    assert "stretch still fell after 1 iterations" in ctx.warnings[0]
