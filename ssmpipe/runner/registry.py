@@ -124,3 +124,11 @@ def synth_files() -> dict[str, Path]:
         if any(isinstance(node, ast.FunctionDef) and node.name == "write_cohort" for node in body):
             found[path.stem.replace("_", "-")] = path
     return found
+
+
+def synth_options(path: Path) -> dict[str, str]:
+    """Return the switches of a synthetic cohort, name to help: the literal ``OPTIONS`` of its file; nothing is imported."""
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Assign) and [t.id for t in node.targets if isinstance(t, ast.Name)] == ["OPTIONS"]:
+            return dict(ast.literal_eval(node.value))
+    return {}

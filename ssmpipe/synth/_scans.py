@@ -44,6 +44,35 @@ def grain(
     return rms * np.sqrt(2 / n_waves) * np.cos(points @ waves.T + phases).sum(axis=1)
 
 
+def roughened(vertices: Floats, normals: Floats, rng: np.random.Generator) -> Floats:
+    """Return (n, 3) vertices with noise of 0.12 mm along their unit normals and with the terraces of a scanner's slices."""
+    vertices = vertices + normals * grain(vertices, rng)[:, None]
+    slice_axis = Rotation.random(random_state=rng).as_matrix()[0]
+    terraces = 0.1 * np.sin(2 * np.pi * (vertices @ slice_axis) / 1.6)
+    return np.asarray(vertices + terraces[:, None] * (normals @ slice_axis)[:, None] * slice_axis)
+
+
+def specks(vertices: Floats, normals: Floats, rng: np.random.Generator) -> tuple[Floats, Ints]:
+    """Return two small balls of debris beside a surface, with face indices that go on behind its vertices."""
+    import trimesh  # slow to import: only when needed
+
+    points, faces, start = [], [], len(vertices)
+    for at in rng.integers(0, len(vertices), 2):
+        ball = trimesh.creation.icosphere(subdivisions=1, radius=rng.uniform(1.0, 2.0))
+        points.append(np.asarray(ball.vertices) + vertices[at] + 7.0 * normals[at])
+        faces.append(np.asarray(ball.faces, dtype=np.int64) + start)
+        start += len(ball.vertices)
+    return np.concatenate(points), np.concatenate(faces)
+
+
+def turned_grid(rng: np.random.Generator, spacing: float) -> Floats:
+    """Return a random (4, 4) motion of a grid: every scan gets a connectivity of its own."""
+    turn = np.eye(4)
+    turn[:3, :3] = Rotation.random(random_state=rng).as_matrix()
+    turn[:3, 3] = rng.uniform(-spacing, spacing, 3)
+    return turn
+
+
 def scanner_pose(rng: np.random.Generator, left: bool = False) -> Floats:
     """Return a (4, 4) map from the anatomical frame to scanner coordinates [mm]; a left shape is mirrored in x first."""
     pose = np.eye(4)

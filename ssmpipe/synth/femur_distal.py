@@ -17,10 +17,18 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ssmpipe.core.arrays import Floats, Ints
-from ssmpipe.synth._scans import apply, grain, scanner_pose, spread_scores, write_json, write_scan
+from ssmpipe.synth._scans import (
+    apply,
+    roughened,
+    scanner_pose,
+    specks,
+    spread_scores,
+    turned_grid,
+    write_json,
+    write_scan,
+)
 from ssmpipe.synth.implicit import (
     Field,
     ellipsoid,
@@ -219,33 +227,18 @@ def raw_scan(scores: Floats, rng: np.random.Generator, own: Field, spacing: floa
     faces : (m, 3) int64
         Closed, outward.
     """
-    turn = np.eye(4)
-    turn[:3, :3] = Rotation.random(random_state=rng).as_matrix()
-    turn[:3, 3] = rng.uniform(-spacing, spacing, 3)
+    turn = turned_grid(rng, spacing)
     tilt = np.array([*rng.normal(scale=0.04, size=2), 1.0])
     field = cut_field(rng.uniform(115.0, 150.0), tilt / np.linalg.norm(tilt))
     vertices, faces = polygonize(field, _LOWER, _UPPER, spacing, turn)
     vertices = project(field, vertices, n_steps=2)
     normals = field_gradient(field, vertices)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-    vertices = deform(vertices, scores, own)
-    vertices = vertices + normals * grain(vertices, rng)[:, None]
-    slice_axis = Rotation.random(random_state=rng).as_matrix()[0]
-    terraces = 0.1 * np.sin(2 * np.pi * (vertices @ slice_axis) / 1.6)
-    vertices = vertices + terraces[:, None] * (normals @ slice_axis)[:, None] * slice_axis
+    vertices = roughened(deform(vertices, scores, own), normals, rng)
     if debris:
-        for at in rng.integers(0, len(vertices), 2):
-            speck, triangles = _speck(vertices[at] + 7.0 * normals[at], rng.uniform(1.0, 2.0))
-            faces = np.concatenate([faces, triangles + len(vertices)])
-            vertices = np.concatenate([vertices, speck])
+        extra, triangles = specks(vertices, normals, rng)
+        faces, vertices = np.concatenate([faces, triangles]), np.concatenate([vertices, extra])
     return vertices, faces
-
-
-def _speck(centre: Floats, radius: float) -> tuple[Floats, Ints]:
-    import trimesh  # slow to import: only when needed
-
-    sphere = trimesh.creation.icosphere(subdivisions=1, radius=radius)
-    return np.asarray(sphere.vertices) + centre, np.asarray(sphere.faces, dtype=np.int64)
 
 
 def write_cohort(out_dir: Path, n: int = 12, seed: int = 0, spacing: float = 2.2) -> None:

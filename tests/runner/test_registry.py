@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from ssmpipe.core.errors import ConfigError
-from ssmpipe.runner.registry import BUILTIN, Registry, summary_line, synth_files
+from ssmpipe.runner.registry import BUILTIN, Registry, summary_line, synth_files, synth_options
 
 
 def test_every_stage_follows_the_contract() -> None:
@@ -53,3 +53,11 @@ def test_environment_adds_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 def test_synthetic_cohorts_are_found() -> None:
     assert all(path.name.replace("_", "-") == f"{name}.py" for name, path in synth_files().items())
+
+
+def test_switches_of_a_cohort_are_read_without_importing_it(tmp_path: Path) -> None:
+    path = tmp_path / "cohort.py"
+    path.write_text('raise RuntimeError\nOPTIONS = {"groups": "Two groups."}\n')
+    assert synth_options(path) == {"groups": "Two groups."}
+    path.write_text("raise RuntimeError\n")
+    assert synth_options(path) == {}
