@@ -37,11 +37,11 @@ from ssmpipe.synth.implicit import Field, field_gradient, polygonize, round_cone
 
 MODES = {
     "diameter": "all radii, 7 % per unit",
-    "sinus_size": "all three sinuses bulge 1.8 mm more per unit",
+    "sinus_size": "all three sinuses bulge 2 mm more per unit",
     "left_sinus": "the left sinus bulges 0.6 mm more, the other two 0.3 mm less per unit",
     "length": "the tube, 1.2 % longer per unit",
-    "sinus_height": "the sinutubular junction moves up the wall by 0.8 mm per unit; both ends stay",
-    "sinus_turn": "the commissure between left and right sinus moves around the wall by 2 degrees per unit",
+    "sinus_height": "the sinutubular junction moves up the wall by 1 mm per unit; both ends stay",
+    "sinus_turn": "the commissure between left and right sinus moves around the wall by 2.5 degrees per unit",
     "bend": "curvature of the centre line above the root, 7 % per unit",
 }
 """Known modes and what one unit of their score does; the first two are the largest."""
@@ -91,17 +91,17 @@ class Wall:
 
     def angle(self, theta: Floats) -> Floats:
         """Return the angle at which material angles lie [rad]."""
-        return theta + np.deg2rad(2.0) * self.scores[5] * np.cos(theta - np.pi / 3)
+        return theta + np.deg2rad(2.5) * self.scores[5] * np.cos(theta - np.pi / 3)
 
     def height(self, t: Floats) -> Floats:
         """Return the height along the centre line at which material heights lie [mm]."""
-        slide = 0.8 * np.exp(-0.5 * ((t - 23.0) / 9.0) ** 2)
+        slide = np.exp(-0.5 * ((t - 23.0) / 9.0) ** 2)
         return (1 + 0.012 * self.scores[3]) * (t + self.scores[4] * slide)
 
     def radius(self, theta: Floats, t: Floats) -> Floats:
         """Return the distance of the wall from the centre line [mm]."""
         base = 13.3 + 2.2 / (1 + np.exp(-(t - 30.0) / 5.0)) - 0.9 * np.exp(-0.5 * (t / 6.0) ** 2)
-        size = 5.4 + 1.8 * self.scores[1] + self.scores[2] * np.array([0.6, -0.3, -0.3])
+        size = 5.6 + 2.0 * self.scores[1] + self.scores[2] * np.array([0.6, -0.3, -0.3])
         along = (t - 12.5) / 8.0
         bell = np.exp(-0.5 * along**2 - 0.35 * along**4)
         for middle, bulge in zip(SINUSES.values(), size, strict=True):

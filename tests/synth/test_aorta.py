@@ -154,7 +154,9 @@ def test_first_modes_are_diameter_and_sinus_size(tmp_path: Path) -> None:
     n = 8
     scores = aorta.spread_scores(n, 7, np.random.default_rng([0, 0]), n_draws=3000, sizes=aorta.SIZES)
     parameters, _ = aorta.truth_grid()
-    shapes = [aorta.Wall(s, 0.1 * np.random.default_rng(i).normal(size=(2, 4, 5))) for i, s in enumerate(scores)]
+    shapes = [
+        aorta.Wall(s, 0.1 * np.random.default_rng([0, i + 1]).normal(size=(2, 4, 5))) for i, s in enumerate(scores)
+    ]
     points = np.stack([w.point(2 * np.pi * parameters[:, 0], aorta.HEIGHT * parameters[:, 1]) for w in shapes])
     points -= points.mean(axis=1, keepdims=True)
     for _ in range(3):
