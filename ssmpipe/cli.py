@@ -315,6 +315,97 @@ def init(anatomy: str, scans_dir: Path, target: Path, overwrite: bool) -> None:
 
 
 @main.command()
+@click.argument("model", type=PATH, metavar="MODEL")
+@click.option("-o", "--output", "out", type=PATH, required=True, metavar="DIR", help="Folder for the meshes.")
+@click.option(
+    "--modes", metavar="LIST", help="Modes to walk along, e.g. 1,2; none: no walks.  [default: the first three]"
+)
+@click.option(
+    "--extent", type=click.FloatRange(0, min_open=True), default=3.0, show_default=True,
+    help="Ends of a walk [standard deviations].",
+)  # fmt: skip
+@click.option("--steps", type=click.IntRange(2), default=7, show_default=True, help="Instances per walk.")
+@click.option("--n", type=click.IntRange(0), default=0, show_default=True, help="Random instances.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the random instances.")
+@click.option(
+    "--at", multiple=True, metavar="MODE=VALUE", help="One instance at these coefficients, e.g. 1=-2.  [repeatable]"
+)
+@click.option(
+    "--format", "form", type=click.Choice(["ply", "stl", "vtp", "obj", "off"]), default="ply", show_default=True,
+    help="Mesh format.",
+)  # fmt: skip
+@click.option("--open", "is_open", is_flag=True, help="Leave openings open.  [default: closed by a lid, watertight]")
+@click.option("--quads", is_flag=True, help="Also write shells of quadrilaterals for finite elements.  [default: off]")
+def sample(
+    model: Path,
+    out: Path,
+    modes: str | None,
+    extent: float,
+    steps: int,
+    n: int,
+    seed: int,
+    at: tuple[str, ...],
+    form: str,
+    is_open: bool,
+    quads: bool,
+) -> None:
+    """Write the mean, walks along modes and random instances of a model as meshes."""
+    with _errors(_debug()):
+        from ssmpipe.use.instances import InstanceOptions, write_instances
+        from ssmpipe.use.model import load_model
+
+        named = [] if modes is None or modes.strip().lower() == "none" else modes.split(",")
+        chosen = None if modes is None else tuple(_number(x, "--modes") for x in named)
+        options = InstanceOptions(
+            chosen, extent, steps, n, seed, _coefficients(at), f".{form}", watertight=not is_open, quads=quads
+        )
+        files = write_instances(load_model(model), out, options)
+        click.echo(f"{len(files)} files written to {out}")
+
+
+@main.command()
+@click.argument("model", type=PATH, metavar="MODEL")
+@click.option(
+    "-o", "--output", "target", type=PATH, required=True, metavar="FILE",
+    help="File to write; its suffix says the format: .h5 (statismo), .step or .iges (B-spline surface), .vtp, .ply, .stl, .obj, .off.",
+)  # fmt: skip
+@click.option(
+    "--at", multiple=True, metavar="MODE=VALUE", help="Instance in place of the mean, e.g. 1=-2.  [repeatable]"
+)
+def export(model: Path, target: Path, at: tuple[str, ...]) -> None:
+    """Write a model for another program; the suffix says the format."""
+    with _errors(_debug()):
+        import numpy as np
+
+        from ssmpipe.use.exporting import export_model
+        from ssmpipe.use.model import load_model
+
+        loaded, places = load_model(model), _coefficients(at)
+        row = None
+        if places:
+            row = np.zeros(max(places))
+            row[[k - 1 for k in places]] = list(places.values())
+        click.echo(f"{target}: {export_model(loaded, target, row)}")
+
+
+def _number(text: str, option: str) -> int:
+    if not text.strip().isdigit() or int(text) < 1:
+        raise click.BadParameter(f"'{text.strip()}' is not the number of a mode (1, 2, ...)", param_hint=option)
+    return int(text)
+
+
+def _coefficients(at: tuple[str, ...]) -> dict[int, float]:
+    found = {}
+    for item in at:
+        mode, _, value = item.partition("=")
+        try:
+            found[_number(mode, "--at")] = float(value)
+        except ValueError as error:
+            raise click.BadParameter(f"'{item}' is not MODE=VALUE, e.g. 1=-2", param_hint="--at") from error
+    return found
+
+
+@main.command()
 def schema() -> None:
     """Print the JSON Schema of the config, for editors."""
     with _errors(_debug()):

@@ -94,7 +94,7 @@ def write_mesh(path: Path, mesh: TriMesh) -> None:
     Parameters
     ----------
     path : Path
-        ``.ply`` (binary, float64, exact), ``.stl`` (binary, float32), ``.obj``, ``.off``.
+        ``.ply`` and ``.vtp`` (binary, float64, exact), ``.stl`` (binary, float32), ``.obj``, ``.off``.
 
     Raises
     ------
@@ -105,11 +105,13 @@ def write_mesh(path: Path, mesh: TriMesh) -> None:
     suffix = path.suffix.lower()
     if suffix == ".ply":
         path.write_bytes(ply.dump(mesh.vertices, mesh.faces))
+    elif suffix == ".vtp":
+        path.write_bytes(vtp.dump(mesh.vertices, mesh.faces))
     elif suffix in (".stl", ".obj", ".off"):
         path.write_bytes(_export(mesh.vertices, mesh.faces, suffix[1:]))
     else:
         raise ArtifactError(
-            f"'{path.suffix}' is not a surface format that can be written", "use .ply, .stl, .obj or .off"
+            f"'{path.suffix}' is not a surface format that can be written", "use .ply, .stl, .vtp, .obj or .off"
         )
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from ssmpipe.core.arrays import Floats, Ints
 
 
@@ -41,3 +43,17 @@ class ShapeModel:
         """Return the (n_P, d) points at ``sigmas`` standard deviations along the leading modes."""
         k = len(sigmas)
         return self.mean + ((sigmas * self.variances[:k] ** 0.5)[:, None, None] * self.modes[:k]).sum(axis=0)
+
+    def project(self, points: Floats) -> Floats:
+        """Return the coefficients of corresponded points that lie in the frame of the model, in standard deviations.
+
+        Parameters
+        ----------
+        points : (n_P, d) float64
+            In the order of the mean [mm].
+
+        Returns
+        -------
+        (n_modes,) float64
+        """
+        return np.asarray(np.einsum("mld,ld->m", self.modes, points - self.mean) / np.sqrt(self.variances))

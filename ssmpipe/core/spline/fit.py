@@ -125,3 +125,24 @@ def surface_grid(surface: BSplineSurface, n_u: int, n_v: int) -> Floats:
     basis_u = design_matrix(np.linspace(0, 1, n_u), surface.knots_u, surface.degree[0])
     basis_v = design_matrix(np.linspace(0, 1, n_v), surface.knots_v, surface.degree[1])
     return np.einsum("ka,abd,lb->kld", basis_u, surface.control_points, basis_v, optimize=True)
+
+
+def interpolating_surface(points: Floats, *, closed_u: bool = False) -> BSplineSurface:
+    """Return the bicubic B-spline surface through a grid of points, with as many control points.
+
+    Parameters
+    ----------
+    points : (n_u, n_v, d) float64
+        At even parameters, at least 4 in each direction.
+    closed_u : bool, default=False
+        Whether the last row is joined to the first one, which is stored once.
+
+    Examples
+    --------
+    >>> grid = np.random.default_rng(0).normal(size=(6, 5, 3))
+    >>> surface = interpolating_surface(grid)
+    >>> bool(np.allclose(surface_grid(surface, 6, 5), grid))
+    True
+    """
+    rows = np.concatenate([points, points[:1]]) if closed_u else points
+    return fit_surface(rows, degree=(3, 3), n_control=(rows.shape[0], rows.shape[1]))

@@ -1,0 +1,85 @@
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from ssmpipe.cli import main
+from ssmpipe.core.spline.fit import interpolating_surface, surface_grid
+from ssmpipe.io.meshes import read_mesh
+from tests.support.models import grid_points, shape_model, write_model
+
+
+def export(result: Path, target: Path, *arguments: str) -> str:
+    done = CliRunner().invoke(main, ["export", str(result), "-o", str(target), *arguments])
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".stl", ".obj", ".off", ".vtp"])
+def test_the_mean_as_a_mesh(suffix: str, tmp_path: Path) -> None:
+    model = shape_model("tube")
+    result = write_model(model, tmp_path / "out")
+    assert "mean" in export(result, tmp_path / f"mean{suffix}")
+    mesh = read_mesh(tmp_path / f"mean{suffix}")
+    assert mesh.n_faces == len(model.faces)
+    assert np.allclose(np.ptp(mesh.vertices, axis=0), np.ptp(model.mean, axis=0), atol=1e-4)
+    moved = np.zeros(1)
+    moved[0] = -2.0
+    assert "instance" in export(result, tmp_path / f"there{suffix}", "--at", "1=-2")
+    there = read_mesh(tmp_path / f"there{suffix}")
+    assert np.allclose(np.ptp(there.vertices, axis=0), np.ptp(model.instance(moved), axis=0), atol=1e-4)
+
+
+def test_statismo_layout(tmp_path: Path) -> None:
+    model = shape_model()
+    export(write_model(model, tmp_path / "out"), tmp_path / "m.h5")
+    with h5py.File(tmp_path / "m.h5") as file:
+        assert np.allclose(file["model/mean"][:].reshape(-1, 3), model.mean, atol=1e-5)
+        assert np.allclose(file["model/pcaVariance"][:], model.variances, rtol=1e-6)
+
+
+def test_unknown_formats_are_refused(tmp_path: Path) -> None:
+    result = write_model(shape_model(), tmp_path / "out")
+    done = CliRunner().invoke(main, ["export", str(result), "-o", str(tmp_path / "m.xyz")])
+    assert done.exit_code == 3
+    assert "'.xyz' is not a format that a model can be exported to; try: use one of .h5" in done.output
+
+
+@pytest.mark.parametrize("topology", ["disk", "tube", "cone", "closed"])
+def test_the_interpolating_surface_passes_through_the_grid(topology: str) -> None:
+    grid = grid_points(topology, 12, 9).reshape(12, 9, 3)
+    closed = topology != "disk"
+    surface = interpolating_surface(grid, closed_u=closed)
+    at = surface_grid(surface, 13 if closed else 12, 9)
+    assert np.allclose(at[:12], grid, rtol=0, atol=1e-9)
+    if closed:
+        assert np.array_equal(surface.control_points[0], surface.control_points[-1])
+
+
+@pytest.mark.parametrize(("suffix", "tolerance"), [(".step", 1e-6), (".iges", 1e-3)])
+def test_cad_files_read_back(suffix: str, tolerance: float, tmp_path: Path) -> None:
+    pytest.importorskip("OCP", reason="OpenCASCADE is not installed: pip install 'ssmpipe[cad]'")
+    from ssmpipe.io.cad import read_cad
+
+    model = shape_model("tube", 20, 12)
+    result = write_model(model, tmp_path / "out")
+    export(result, tmp_path / f"a{suffix}")
+    export(result, tmp_path / f"b{suffix}")
+    assert (tmp_path / f"a{suffix}").read_bytes().replace(b"a.iges", b"b.iges") == (
+        tmp_path / f"b{suffix}"
+    ).read_bytes()
+    surface = read_cad(tmp_path / f"a{suffix}")
+    wanted = interpolating_surface(model.mean.reshape(20, 12, 3), closed_u=True)
+    assert np.abs(surface_grid(surface, 50, 50) - surface_grid(wanted, 50, 50)).max() < tolerance
+
+
+def test_without_opencascade_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import sys
+
+    monkeypatch.setitem(sys.modules, "OCP", None)
+    result = write_model(shape_model(), tmp_path / "out")
+    done = CliRunner().invoke(main, ["export", str(result), "-o", str(tmp_path / "m.step")])
+    assert done.exit_code == 3
+    assert "pip install 'ssmpipe[cad]'" in done.output
