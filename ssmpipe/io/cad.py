@@ -67,6 +67,8 @@ def read_cad(path: Path) -> BSplineSurface:
     found = occ.BRep_Tool.Surface_s(occ.face(faces.Current()))
     if not isinstance(found, occ.Geom_BSplineSurface):
         raise ArtifactError(f"{path.name} holds no B-spline surface")
+    found.SetUNotPeriodic()
+    found.SetVNotPeriodic()
     shape = found.NbUPoles(), found.NbVPoles()
     poles = [[found.Pole(i + 1, j + 1).Coord() for j in range(shape[1])] for i in range(shape[0])]
     u = [found.UKnot(k + 1) for k in range(found.NbUKnots()) for _ in range(found.UMultiplicity(k + 1))]

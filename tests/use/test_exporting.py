@@ -78,7 +78,8 @@ def test_cad_files_read_back(suffix: str, tolerance: float, tmp_path: Path) -> N
 def test_without_opencascade_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import sys
 
-    monkeypatch.setitem(sys.modules, "OCP", None)
+    for name in ["OCP", "OCP.BRep", *(loaded for loaded in sys.modules if loaded.startswith("OCP."))]:
+        monkeypatch.setitem(sys.modules, name, None)
     result = write_model(shape_model(), tmp_path / "out")
     done = CliRunner().invoke(main, ["export", str(result), "-o", str(tmp_path / "m.step")])
     assert done.exit_code == 3
