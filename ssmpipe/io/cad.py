@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ssmpipe.core.arrays import Floats
 from ssmpipe.core.errors import ArtifactError
 from ssmpipe.core.spline.surface import BSplineSurface
 
@@ -49,13 +50,13 @@ def write_cad(path: Path, surface: BSplineSurface) -> None:
     path.write_bytes(_TIME.sub(lambda time: re.sub(rb"\d", b"0", time.group()), head) + mark + rest)
 
 
-def read_cad(path: Path) -> BSplineSurface:
-    """Read the first B-spline surface of a STEP or IGES file.
+def cad_points(path: Path, n_u: int, n_v: int) -> Floats:
+    """Return points of the first surface of a STEP or IGES file, on an even grid over its parameters, (n_u, n_v, 3) [mm].
 
     Raises
     ------
     ArtifactError
-        If OpenCASCADE is not installed, the file cannot be read, or it holds no B-spline surface.
+        If OpenCASCADE is not installed, the file cannot be read, or it holds no surface.
     """
     occ = _opencascade()
     reader = occ.STEPControl_Reader() if path.suffix.lower() in (".step", ".stp") else occ.IGESControl_Reader()
@@ -65,15 +66,9 @@ def read_cad(path: Path) -> BSplineSurface:
     if not faces.More():
         raise ArtifactError(f"{path.name} holds no surface")
     found = occ.BRep_Tool.Surface_s(occ.face(faces.Current()))
-    if not isinstance(found, occ.Geom_BSplineSurface):
-        raise ArtifactError(f"{path.name} holds no B-spline surface")
-    found.SetUNotPeriodic()
-    found.SetVNotPeriodic()
-    shape = found.NbUPoles(), found.NbVPoles()
-    poles = [[found.Pole(i + 1, j + 1).Coord() for j in range(shape[1])] for i in range(shape[0])]
-    u = [found.UKnot(k + 1) for k in range(found.NbUKnots()) for _ in range(found.UMultiplicity(k + 1))]
-    v = [found.VKnot(k + 1) for k in range(found.NbVKnots()) for _ in range(found.VMultiplicity(k + 1))]
-    return BSplineSurface((found.UDegree(), found.VDegree()), np.array(u), np.array(v), np.array(poles))
+    u_0, u_1, v_0, v_1 = found.Bounds()
+    u, v = np.linspace(u_0, u_1, n_u).tolist(), np.linspace(v_0, v_1, n_v).tolist()
+    return np.array([[found.Value(a, b).Coord() for b in v] for a in u])
 
 
 def _geometry(occ: Any, surface: BSplineSurface) -> Any:
