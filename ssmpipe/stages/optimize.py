@@ -6,7 +6,7 @@ import time
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from ssmpipe.contract import Context, Landmarks, NamesShape, Port, Stage, StageConfig, Table
 from ssmpipe.core.arrays import Floats, Ints
@@ -50,8 +50,11 @@ class Config(StageConfig):
         ),
     ] = _DEFAULT.covariance
     quadrature: Annotated[
-        Literal["grid", "midpoint", "gauss"],
-        Field(description="Landmarks of covariance I and II; discrete takes the grid."),
+        Literal["grid", "midpoint", "gauss", "closed-form"],
+        Field(
+            description="Landmarks of covariance I and II; discrete takes the grid. closed-form: curves and covariance I, the integral "
+            "itself; time grows with the square of the number of shapes."
+        ),
     ] = _DEFAULT.quadrature
     objective: Annotated[
         Literal["description-length", "log-determinant", "trace"],
@@ -157,6 +160,20 @@ class Config(StageConfig):
                 "give both one (curves) or both two (surfaces)"
             )
         return counts
+
+    @model_validator(mode="after")
+    def _closed_form_exists(self) -> Config:
+        if self.quadrature != "closed-form":
+            return self
+        for wrong, remedy in (
+            (len(self.n_coefficients) != 1, "surfaces have none: use quadrature: gauss"),
+            (self.covariance != "I", "only covariance I has one: set covariance: I"),
+            (self.pose == "each-evaluation", "poses may not move inside an evaluation: use pose: refined"),
+            (self.form == "sampled", "the maps must be increasing everywhere: use form: bezier"),
+        ):
+            if wrong:
+                raise ValueError(f"optimize.quadrature is closed-form, but {remedy}")
+        return self
 
 
 def run(

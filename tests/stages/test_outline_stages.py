@@ -194,3 +194,24 @@ def test_a_cohort_of_closed_outlines_goes_through_the_group_stages() -> None:
     measured, ctx = go(evaluate, correspondence=correspondence, landmarks=marks, transform=transforms)
     assert measured["landmark_transfer"].columns["n_shapes"][0] == 5
     assert ctx.metrics["landmark_transfer_optimized_mm"] < 0.05 * reference.diagonal
+
+
+def test_the_closed_form_is_chosen_by_the_config_and_refuses_what_has_none() -> None:
+    closed = {"n_coefficients": (8,), "landmarks": (31,), "covariance": "I", "quadrature": "closed-form"}
+    curves = {}
+    for k, long in enumerate((28.0, 30.0, 33.0)):
+        curves[f"e{k}"] = go(_fit_outline, contour=egg(long=long, turn=0.1 * k), options={"n_control": 20})[0][
+            "surface"
+        ]
+    transform = {i: np.eye(4) for i in curves}
+    out, ctx = go(optimize, surface=curves, transform=transform, landmarks=None, options=closed)
+    assert out["certificate"]["all_proved"]
+    assert ctx.metrics["description_length_after"] < ctx.metrics["description_length_before"]
+    for change, words in (
+        ({"covariance": "II"}, "set covariance: I"),
+        ({"pose": "each-evaluation"}, "poses may not move"),
+        ({"form": "sampled"}, "use form: bezier"),
+        ({"n_coefficients": (8, 8), "landmarks": (31, 31)}, "surfaces have none"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            optimize.Config(**{**closed, **change})  # type: ignore[arg-type]

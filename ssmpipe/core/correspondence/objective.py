@@ -21,6 +21,7 @@ from ssmpipe.core.correspondence.covariance import (
     spectrum,
     weight_adjoint,
 )
+from ssmpipe.core.correspondence.exact_rule import ExactRule
 from ssmpipe.core.correspondence.guides import Guides
 from ssmpipe.core.correspondence.jacobian import Jacobian, JacobianForm, largest_feasible_step
 from ssmpipe.core.correspondence.prior import bending_matrix
@@ -41,6 +42,7 @@ _PAIRS_PER_BLOCK = 8
 class Evaluation:
     """What one evaluation of the cohort knows: kept for the gradient, the preconditioner and the records."""
 
+    space: Reparameterization
     jet: Jet
     points: Floats
     centred: Floats
@@ -59,7 +61,7 @@ class GroupObjective:
     stack : SplineStack
         The cohort's splines, posed (and scaled) as the objective shall see them.
     reparameterization : Reparameterization
-        Its nodes are the landmarks of the covariance.
+        Its nodes are the landmarks of the covariance, unless ``rule`` is given.
     spectral : SpectralFunction
     base_weights : (n_P,) float64, optional
         Quadrature weights of the nodes; equal by default.
@@ -82,11 +84,13 @@ class GroupObjective:
     target : (n_P, d) float64, optional
         When given, every shape's landmarks are moved rigidly to this target inside each evaluation, and the gradient
         contains the derivative of these motions.
+    rule : ExactRule, optional
+        Nodes and weights that follow the maps, for the integral of formulation I in closed form.
 
     Raises
     ------
     GeometryError
-        For a target with formulation II, which is not implemented.
+        For a target with formulation II, which is not implemented, or a rule with anything but formulation I and given poses.
 
     Notes
     -----
@@ -110,6 +114,7 @@ class GroupObjective:
         reference: int = -1,
         other_gradient: Callable[[GroupObjective, Floats], Floats] | None = None,
         target: Floats | None = None,
+        rule: ExactRule | None = None,
     ) -> None:
         self.stack = stack
         self.reparameterization = reparameterization
@@ -122,6 +127,12 @@ class GroupObjective:
         self.reference = reference
         self.other_gradient = other_gradient
         self.target = target
+        self.rule = rule
+        if rule is not None and (covariance != "I" or target is not None or form == "sampled"):
+            raise GeometryError(
+                "the closed form is that of covariance I, with poses kept inside an evaluation and a form of the Jacobian that bounds it",
+                "covariance: I, pose: refined and form: bezier",
+            )
         if target is not None and covariance == "II":
             raise GeometryError(
                 "aligning inside each evaluation is implemented for covariance discrete and I", "use pose: refined"
@@ -173,16 +184,19 @@ class GroupObjective:
         if self._last is not None and self._last[0] == key:
             return self._last[1]
         coefficients = self.coefficients(x)
-        parameters = self.reparameterization.evaluate(coefficients)
+        space, weights = self.reparameterization, self._base
+        if self.rule is not None:
+            nodes, weights = self.rule(coefficients)
+            space = space.at((nodes,))
+        parameters = space.evaluate(coefficients)
         second = self.covariance == "II"
         old = self._last[1] if self._last is not None else None
         self._last = None
         jet = self.stack.evaluate(parameters, second=second, reuse=old.jet if old is not None else None)
         slopes: tuple[Floats, ...] = ()
         tangents: tuple[Floats, ...] = ()
-        weights = self._base
         if second:
-            slopes = self.reparameterization.slopes(coefficients)
+            slopes = space.slopes(coefficients)
             tangents = tuple(
                 sum(np.einsum("ild,il->ld", jet.first[c], slope[..., c]) for c in range(len(jet.first)))
                 / self.stack.n_shapes
@@ -193,9 +207,10 @@ class GroupObjective:
         if self.target is not None:
             aligned = [align_to(p, self.target, weights) for p in jet.points]
             points, rotations = np.stack([a[0] for a in aligned]), np.stack([a[1] for a in aligned])
-        centred = centre(points, self.stack.threads, old.centred if old is not None else None)
+        fits = old is not None and old.centred.shape == points.shape
+        centred = centre(points, self.stack.threads, old.centred if old is not None and fits else None)
         spec = spectrum(centred, weights, self.stack.threads)
-        evaluation = Evaluation(jet, points, centred, rotations, slopes, weights, tangents, spec)
+        evaluation = Evaluation(space, jet, points, centred, rotations, slopes, weights, tangents, spec)
         self._last = (key, evaluation)
         return evaluation
 
@@ -240,7 +255,7 @@ class GroupObjective:
                 np.stack([np.einsum("ld,ild->il", d, s[block]) for s in jet.first], axis=-1) / self.stack.n_shapes
                 for d in d_tangents
             )
-            return self.reparameterization.pull_back(d_parameters[block], d_slopes)
+            return evaluation.space.pull_back(d_parameters[block], d_slopes)
 
         threads = self.stack.threads
         if self.target is None:
@@ -315,7 +330,7 @@ class GroupObjective:
                 for b in range(n_d):
                     metric[..., a, b] = _dot(tangents[a][first], tangents[b][second])
             metric *= (weigh[first, second][:, None] * evaluation.weights)[..., None, None]
-            return self.reparameterization.normal_blocks(metric)[:, free[:, None], free]
+            return evaluation.space.normal_blocks(metric)[:, free[:, None], free]
 
         def diagonal(part: slice) -> Floats:
             chunk = moving[part]
@@ -369,7 +384,7 @@ class GroupObjective:
         """
         evaluation = self.evaluate(x)
         coefficients = self.coefficients(x)
-        space, moving, spec = self.reparameterization, self.moving, evaluation.spectrum
+        space, moving, spec = evaluation.space, self.moving, evaluation.spectrum
         n_shapes, n_p, d = evaluation.jet.points.shape
         n_d = space.n_directions
         jet = evaluation.jet

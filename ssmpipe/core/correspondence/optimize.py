@@ -16,6 +16,7 @@ from ssmpipe.core.arrays import Floats
 from ssmpipe.core.correspondence.barrier import Aggregate, Barrier
 from ssmpipe.core.correspondence.certificate import Certificate, certify
 from ssmpipe.core.correspondence.direction import apply_directions
+from ssmpipe.core.correspondence.exact_rule import ExactRule
 from ssmpipe.core.correspondence.guides import Guides
 from ssmpipe.core.correspondence.jacobian import JacobianForm
 from ssmpipe.core.correspondence.measure import Quadrature, grid_size_weights, landmark_rule
@@ -55,8 +56,9 @@ class EngineOptions:
     boundary : {"fixed", "sliding", "periodic"}
     covariance : {"discrete", "I", "II"}
         Equal weights; integral over the domain; integral over the mean shape, with exact gradient.
-    quadrature : {"grid", "midpoint", "gauss"}
-        Where the landmarks of the objective lie; ``discrete`` always takes the grid.
+    quadrature : {"grid", "midpoint", "gauss", "closed-form"}
+        Where the landmarks of the objective lie; ``discrete`` always takes the grid. ``closed-form``: the integral itself, for
+        curves and covariance ``I`` (:class:`ExactRule`).
     objective : {"description-length", "log-determinant", "trace"}
     lambda_cut : float or None
         Threshold of the description length [mm^2]; None for the rule of :func:`automatic_lambda_cut`.
@@ -106,7 +108,7 @@ class EngineOptions:
     degree: int = 2
     boundary: Boundary = "fixed"
     covariance: Covariance = "discrete"
-    quadrature: Quadrature = "midpoint"
+    quadrature: Quadrature | Literal["closed-form"] = "midpoint"
     objective: Objective = "description-length"
     lambda_cut: float | None = None
     pose: Literal["refined", "procrustes", "keep", "each-evaluation"] = "refined"
@@ -300,7 +302,21 @@ class _Cohort:
         return space.at(landmark_rule(space, self.opts.landmarks, self._quadrature())[0])
 
     def _quadrature(self) -> Quadrature:
+        if self.opts.quadrature == "closed-form":
+            return "gauss"
         return "grid" if self.opts.covariance == "discrete" else self.opts.quadrature
+
+    def _rule(self, space: Reparameterization) -> ExactRule | None:
+        """Return the moving nodes of the closed form."""
+        if self.opts.quadrature != "closed-form":
+            return None
+        first = self.splines[0]
+        if self.opts.covariance != "I" or not isinstance(first, BSplineCurve):
+            raise GeometryError(
+                "the closed form is that of covariance I and curves; a reparameterized surface is no polynomial on any fixed cells",
+                "covariance: I for curves, quadrature: gauss for surfaces",
+            )
+        return ExactRule(space.directions[0], first.knots, first.degree)
 
     def objective(self, space: Reparameterization, coefficients: Floats | None = None) -> GroupObjective:
         """Return the objective in the current pose; ``coefficients`` tell the mean shape of ``each-evaluation``."""
@@ -320,6 +336,7 @@ class _Cohort:
             reference=self.reference,
             other_gradient=_SLOW.get(self.opts.sensitivity),
             target=target,
+            rule=self._rule(space),
         )
 
     def descend(

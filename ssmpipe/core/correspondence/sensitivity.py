@@ -28,7 +28,7 @@ def direct_gradient(objective: GroupObjective, x: Floats) -> Floats:
     n_shapes = len(jet.points)
     weighted = (jet.points - jet.points.mean(axis=0)) * weights[:, None]
     slope = objective.spectral.slope(spec.eigenvalues)
-    reparameterization = objective.reparameterization
+    reparameterization = evaluation.space
     full = np.meshgrid(*reparameterization.nodes, indexing="ij")
     rows = reparameterization.rows_at(np.stack([f.ravel() for f in full], axis=1))
     n_d = reparameterization.n_directions
