@@ -1,8 +1,8 @@
-"""Cut the surface with a plane and keep the part below it."""
+"""Cut the surface with a plane and keep the part below it, or cut both ends of a tube."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -12,6 +12,7 @@ from ssmpipe.core.mesh.operators import area
 from ssmpipe.core.mesh.topology import boundary_loops, loop_length
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.repair.trimming import height_by_width, trim
+from ssmpipe.stages._trim_tube import ROLES, trim_both_ends
 
 Vector = tuple[float, float, float]
 
@@ -52,17 +53,56 @@ class Config(StageConfig):
         ),
     ] = 0.1
 
+    ends: Annotated[
+        Literal[1, 2], Field(description="Ends that are cut: 1, or 2 for a tube across its centre line [count].")
+    ] = 1
+    ends_at: Annotated[
+        Literal["rims", "fractions", "landmarks"],
+        Field(
+            description="Where a tube is cut: just inside each ragged rim, at `end_fractions` of its centre line, or through "
+            "the landmarks with roles opening_1 and opening_2 (which otherwise only tell the rims apart)."
+        ),
+    ] = "rims"
+    end_margin_mm: Annotated[
+        float, Field(gt=0, description="Distance of a tube's cuts from the innermost point of the ragged rims [mm].")
+    ] = 0.5
+    end_fractions: Annotated[
+        tuple[float, float],
+        Field(description="Where a tube is cut, in lengths of its centre line from the first rim [-]."),
+    ] = (0.05, 0.95)
+    extend_mm: Annotated[
+        float,
+        Field(
+            ge=0,
+            description="A scan that ends before the cut by no more than this is continued by the curvature of its rim [mm].",
+        ),
+    ] = 0.0
+
     @model_validator(mode="after")
     def _consistent(self) -> Config:
         if self.distance_mm is not None and self.plane_point is not None:
             raise ValueError("give distance_mm or plane_point, not both")
         if not any(self.up) or not any(self.across):
             raise ValueError("up and across must not be zero vectors")
+        if not 0 <= self.end_fractions[0] < self.end_fractions[1] <= 1:
+            raise ValueError("end_fractions must rise and lie between 0 and 1")
         return self
 
 
 def run(mesh: TriMesh, landmarks: Landmarks | None = None, *, cfg: Config, ctx: Context) -> dict[str, Any]:
     """Trim one shape; see :func:`ssmpipe.core.repair.trimming.trim`."""
+    if cfg.ends == 2:
+        trimmed = trim_both_ends(
+            mesh,
+            landmarks if landmarks is not None else Landmarks(),
+            ctx,
+            at=cfg.ends_at,
+            margin=cfg.end_margin_mm,
+            fractions=cfg.end_fractions,
+            extend_mm=cfg.extend_mm,
+            snap=cfg.snap,
+        )
+        return {"mesh": trimmed}
     up, across = (np.array(v) / np.linalg.norm(v) for v in (cfg.up, cfg.across))
     lowest = float((mesh.vertices @ up).min())
     mark = landmarks.role("trim") if landmarks is not None else None
@@ -95,5 +135,5 @@ STAGE = Stage(
     inputs=(Port("mesh", "trimesh"), Port("landmarks", "landmarks", optional=True)),
     outputs=(Port("mesh", "trimesh"),),
     methods="Surfaces were cut by a plane across the axis, {fraction} widths above the lowest point unless stated otherwise.",
-    roles=("trim",),
+    roles=("trim", *ROLES),
 )

@@ -13,7 +13,18 @@ def section_segments(mesh: TriMesh, axis: Floats, height: float) -> Floats:
 
     Around a closed outward surface they run counter-clockwise seen against ``axis``.
     """
-    level = mesh.vertices @ axis - height
+    return level_segments(mesh, mesh.vertices @ axis - height)
+
+
+def level_segments(mesh: TriMesh, level: Floats) -> Floats:
+    """Return the directed segments (n, 2, 3) along which a function, linear on faces, is zero.
+
+    Parameters
+    ----------
+    mesh : TriMesh
+    level : (n_vertices,) float64
+        The function at the vertices.
+    """
     above = level[mesh.faces] > 0
     count = above.sum(axis=1)
     crossed = (count == 1) | (count == 2)

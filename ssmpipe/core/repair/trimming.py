@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import csgraph
 
-from ssmpipe.core.arrays import Floats
+from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.errors import GeometryError, TopologyError
-from ssmpipe.core.mesh.operators import face_areas, mean_edge_length
+from ssmpipe.core.mesh.operators import adjacency, face_areas, mean_edge_length
 from ssmpipe.core.mesh.topology import (
     boundary_loops,
     compact,
@@ -19,7 +20,9 @@ from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.repair.cleaning import separate_fans
 
 
-def cut_by_plane(mesh: TriMesh, point: Floats, normal: Floats, snap: float = 0.1) -> TriMesh:
+def cut_by_plane(
+    mesh: TriMesh, point: Floats, normal: Floats, snap: float = 0.1, around: Ints | None = None
+) -> TriMesh:
     """Return the part of a mesh behind a plane (where ``(x - point) . normal < 0``), which may be several pieces.
 
     Parameters
@@ -29,6 +32,9 @@ def cut_by_plane(mesh: TriMesh, point: Floats, normal: Floats, snap: float = 0.1
         The plane; the normal points to what is removed.
     snap : float
         Vertices nearer to the plane than this share of the mean edge length are moved onto it, which avoids slivers.
+    around : (n,) int64, optional
+        Vertices in front of the plane: only what is joined to them there is removed, however often the plane meets the
+        rest of the surface (both legs of an arch).
 
     Raises
     ------
@@ -44,6 +50,8 @@ def cut_by_plane(mesh: TriMesh, point: Floats, normal: Floats, snap: float = 0.1
             f"the plane misses the mesh: all of it lies {gap:.1f} mm or more {side} the plane", "move the plane"
         )
     height = np.where(np.abs(height) < snap * mean_edge_length(mesh), 0.0, height)
+    if around is not None:
+        height = _only_around(mesh, height, around)
     vertices = mesh.vertices - np.outer(np.where(height == 0.0, (mesh.vertices - point) @ direction, 0.0), direction)
 
     sign = np.sign(height).astype(np.int64)[mesh.faces]
@@ -85,6 +93,17 @@ def cut_by_plane(mesh: TriMesh, point: Floats, normal: Floats, snap: float = 0.1
     if len(kept) == 0:
         raise GeometryError("the plane leaves nothing of the mesh", "move the plane")
     return compact(TriMesh(vertices, kept))
+
+
+def _only_around(mesh: TriMesh, height: Floats, around: Ints) -> Floats:
+    """Put everything behind the plane that is not joined to the vertices ``around`` in front of it."""
+    graph = adjacency(mesh)
+    front = np.flatnonzero(height > 0)
+    _, label = csgraph.connected_components(graph[front][:, front], directed=False)
+    removed = np.zeros(mesh.n_vertices, dtype=bool)
+    removed[front] = np.isin(label, label[np.isin(front, around)])
+    beside = (graph @ removed > 0) & (height == 0.0)
+    return np.where(removed | beside, height, np.minimum(height, -1.0))
 
 
 def trim(mesh: TriMesh, point: Floats, normal: Floats, *, snap: float = 0.1) -> TriMesh:

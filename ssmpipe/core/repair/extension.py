@@ -1,0 +1,98 @@
+"""Continue a surface beyond its rim by the curvature that it has there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ssmpipe.core.arrays import Floats, Ints
+from ssmpipe.core.errors import TopologyError
+from ssmpipe.core.mesh.distance import point_to_mesh
+from ssmpipe.core.mesh.operators import face_normals
+from ssmpipe.core.mesh.topology import loop_length
+from ssmpipe.core.mesh.trimesh import TriMesh
+
+FIT_MM = 6.0
+"""Length of the strip inside the rim whose course is continued [mm]."""
+
+
+def extend(mesh: TriMesh, loop: Ints, direction: Floats, length: float, *, fit: float = FIT_MM) -> TriMesh:
+    """Add a strip of a given length to a clean rim.
+
+    From every vertex of the rim a path is followed inward on the surface, opposite to ``direction``. A quadratic in the arc
+    length is fitted to it, its coefficients are smoothed around the rim by a Fourier series with waves no shorter than
+    ``fit``, and the quadratics are evaluated outward. The new rim is not planar: cut it afterwards.
+
+    Parameters
+    ----------
+    mesh : TriMesh
+    loop : (n,) int64
+        The rim, surface on its left (see :func:`ssmpipe.core.mesh.topology.boundary_loops`); without ragged edges.
+    direction : (3,) float64
+        Outward across the rim.
+    length : float
+        Of the strip [mm].
+    fit : float
+        Length of the paths [mm].
+
+    Returns
+    -------
+    TriMesh
+        Same topology; the old vertices and faces come first.
+
+    Raises
+    ------
+    TopologyError
+        If the surface ends within ``fit`` of the rim: there is nothing to continue.
+    """
+    outward = np.asarray(direction, dtype=np.float64) / np.linalg.norm(direction)
+    paths, at = _march_inward(mesh, mesh.vertices[loop], outward, fit)
+    # quadratic per path: powers of the (negative) arc length, normalized so that the numbers stay near one
+    powers = np.stack([np.ones_like(at), at / fit, (at / fit) ** 2], axis=-1)
+    normal = np.einsum("kni,knj->nij", powers, powers)
+    coefficients = np.linalg.solve(normal, np.einsum("kni,knd->nid", powers, paths))
+    rim = mesh.vertices[loop]
+    around = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(rim, axis=0), axis=1))]
+    total = loop_length(mesh, loop)
+    waves = np.arange(1, max(3, int(total / fit)) + 1)
+    waves = waves[: max(1, (len(loop) - 1) // 4)]
+    phase = 2 * np.pi * np.outer(around / total, waves)
+    basis = np.hstack([np.ones((len(loop), 1)), np.cos(phase), np.sin(phase)])
+    smooth = basis @ np.linalg.lstsq(basis, coefficients[:, 1:].reshape(len(loop), 6), rcond=None)[0]
+    slope, bend = smooth[:, :3], smooth[:, 3:]
+
+    step = total / len(loop)
+    n_rings = max(1, int(np.ceil(length / step)))
+    distance = np.linspace(0.0, length, n_rings + 1)[1:, None, None] / fit
+    start = coefficients[:, 0]
+    # what the fit misses at the rim itself fades out over the first millimetres
+    fading = np.clip(1.0 - 2.0 * distance, 0.0, None)
+    rings = start + distance * slope + distance**2 * bend + fading * (rim - start)
+    n = len(loop)
+    index = np.vstack([loop, mesh.n_vertices + np.arange(n_rings * n).reshape(n_rings, n)])
+    a, b = index[:-1], np.roll(index, -1, axis=1)[:-1]
+    c, d = index[1:], np.roll(index, -1, axis=1)[1:]
+    strip = np.vstack([np.column_stack([x.ravel() for x in t]) for t in ((b, a, c), (b, c, d))])
+    return TriMesh(np.vstack([mesh.vertices, rings.reshape(-1, 3)]), np.vstack([mesh.faces, strip]))
+
+
+def _march_inward(
+    mesh: TriMesh, points: Floats, outward: Floats, fit: float, n_steps: int = 16
+) -> tuple[Floats, Floats]:
+    """Return positions (n_steps + 1, n, 3) along the surface and their arc lengths (n_steps + 1, n), negative inward."""
+    normals = face_normals(mesh)
+    positions, lengths = [points], [np.zeros(len(points))]
+    face = point_to_mesh(points, mesh)[1]
+    for _ in range(n_steps):
+        normal = normals[face]
+        tangent = (normal @ outward)[:, None] * normal - outward
+        tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-12)
+        _, face, weights = point_to_mesh(positions[-1] + fit / n_steps * tangent, mesh)
+        reached = np.einsum("nk,nkd->nd", weights, mesh.vertices[mesh.faces[face]])
+        lengths.append(lengths[-1] - np.linalg.norm(reached - positions[-1], axis=1))
+        positions.append(reached)
+    if float(-lengths[-1].max()) < 0.5 * fit:
+        raise TopologyError(
+            f"the surface ends {float(-lengths[-1].max()):.1f} mm inside its rim, {fit:.0f} mm are needed to continue it",
+            "move the cut to where the scan reaches",
+        )
+    return np.array(positions), np.array(lengths)

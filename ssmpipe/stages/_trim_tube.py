@@ -1,0 +1,71 @@
+"""How ``trim`` works when it cuts both ends of a tube."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from ssmpipe.contract import Context, Landmarks
+from ssmpipe.core.errors import LandmarkError
+from ssmpipe.core.mesh.operators import area
+from ssmpipe.core.mesh.topology import boundary_loops, loop_length
+from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.core.repair.tube_ends import (
+    open_closed_end,
+    openings,
+    planes_at_fractions,
+    planes_inside_rims,
+    planes_through_points,
+    trim_tube,
+)
+
+ROLES = ("opening_1", "opening_2")
+
+
+def trim_both_ends(
+    mesh: TriMesh,
+    marks: Landmarks,
+    ctx: Context,
+    *,
+    at: Literal["rims", "fractions", "landmarks"],
+    margin: float,
+    fractions: tuple[float, float],
+    extend_mm: float,
+    snap: float,
+) -> TriMesh:
+    """Trim both ends of a tube and report; see :mod:`ssmpipe.core.repair.tube_ends`."""
+    given = [marks.role(role) for role in ROLES]
+    if at == "landmarks" and any(mark is None for mark in given):
+        raise LandmarkError(
+            "trim.ends_at: landmarks needs both of the roles opening_1 and opening_2",
+            "assign them in input.roles, or use ends_at: rims",
+        )
+    if len(boundary_loops(mesh.faces)) == 1:
+        mesh = open_closed_end(mesh)
+        ctx.warn("one end of the tube was closed by a lid, which was removed; check the picture")
+    rims = openings(mesh, given)
+    if at == "landmarks":
+        planes = planes_through_points(mesh, rims, [mark for mark in given if mark is not None])
+    elif at == "fractions":
+        planes = planes_at_fractions(mesh, rims, fractions)
+    else:
+        planes = planes_inside_rims(mesh, rims, margin)
+    done = trim_tube(mesh, rims, planes, extend_mm=extend_mm, snap=snap)
+    ctx.metric("cut_by", at)
+    for k, (removed, added) in enumerate(zip(done.removed, done.added, strict=True), start=1):
+        ctx.metric(f"removed_{k}_mm", removed)
+        ctx.metric(f"added_{k}_mm", added)
+        if added > 0:
+            ctx.warn(
+                f"the scan ended {added:.1f} mm before the plane of opening {k} and was continued by the curvature of its rim; "
+                "what lies there was not measured"
+            )
+    ctx.metric("n_vertices", done.mesh.n_vertices)
+    ctx.metric("n_faces", done.mesh.n_faces)
+    ctx.metric("area_mm2", area(done.mesh))
+    for k, plane in enumerate(done.planes, start=1):
+        rim = min(
+            boundary_loops(done.mesh.faces),
+            key=lambda loop: float(abs((done.mesh.vertices[loop] - plane.point) @ plane.normal).max()),
+        )
+        ctx.metric(f"rim_{k}_mm", loop_length(done.mesh, rim))
+    return done.mesh
