@@ -12,6 +12,7 @@ slot              Python object                                                 
 ================  ===========================================================================  ==================
 mesh              :class:`ssmpipe.core.mesh.trimesh.TriMesh`                                   mesh.ply (float64)
 contour           :class:`ssmpipe.core.outline.outline.Outline`                                contour.csv
+image             :class:`ssmpipe.core.outline.picture.Picture`, as it is in the scan          (never written)
 landmarks         :class:`Landmarks`                                                           landmarks.json
 transform         (4, 4) float64, scan coordinates to the current frame [mm]                   transform.json
 info              :class:`ShapeInfo`                                                           info.json

@@ -19,6 +19,7 @@ import numpy as np
 
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.errors import ArtifactError
+from ssmpipe.io.point_lists import point_names, read_asf, read_pts
 from ssmpipe.io.tables import read_rows, read_text
 
 LandmarkTable = dict[str, dict[str, Floats]]
@@ -35,7 +36,7 @@ def read_landmarks(path: Path) -> LandmarkTable:
     path : Path
         One table for all: JSON ``{id: {name: [x, y, z]}}`` or long CSV ``id,landmark,x,y[,z]``. One shape each, the id
         being the file's name: Slicer ``.mrk.json`` and ``.fcsv``, MeshLab ``.pp``, a JSON list of
-        ``{"id", "coordinates"}``. Or a folder of such files.
+        ``{"id", "coordinates"}``, numbered points ``.asf`` and ``.pts`` (named ``point_01 ...``). Or a folder of such files.
 
     Returns
     -------
@@ -52,7 +53,7 @@ def read_landmarks(path: Path) -> LandmarkTable:
         files = [p for p in sorted(path.iterdir()) if p.is_file() and _reader(p) is not None]
         if not files:
             raise ArtifactError(
-                f"the folder {path.name} has no landmark files", "supply .json, .csv, .fcsv or .pp files"
+                f"the folder {path.name} has no landmark files", "supply .json, .csv, .fcsv, .pp, .asf or .pts files"
             )
         table: LandmarkTable = {}
         for file in files:
@@ -68,14 +69,19 @@ def read_landmarks(path: Path) -> LandmarkTable:
 
 def _reader(path: Path) -> Callable[[Path], LandmarkTable] | None:
     name = path.name.lower()
-    readers = {".mrk.json": _read_json, ".json": _read_json, ".fcsv": _read_fcsv, ".csv": _read_csv, ".pp": _read_pp}
+    readers = {
+        ".mrk.json": _read_json, ".json": _read_json, ".fcsv": _read_fcsv, ".csv": _read_csv, ".pp": _read_pp,
+        ".asf": _read_numbered, ".pts": _read_numbered,
+    }  # fmt: skip
     return next((read for suffix, read in readers.items() if name.endswith(suffix)), None)
 
 
 def _read_file(path: Path) -> LandmarkTable:
     read = _reader(path)
     if read is None:
-        raise ArtifactError(f"{path.name}: unknown kind of landmark file", "use .json, .csv, .fcsv, .mrk.json or .pp")
+        raise ArtifactError(
+            f"{path.name}: unknown kind of landmark file", "use .json, .csv, .fcsv, .mrk.json, .pp, .asf or .pts"
+        )
     return read(path)
 
 
@@ -224,3 +230,8 @@ def _read_pp(path: Path) -> LandmarkTable:
         coordinates = [point.get(axis) for axis in "xyz"]
         _add(points, name, _point(coordinates, f"{path.name}, landmark '{name}'"), path.name)
     return {_shape_id(path): points}
+
+
+def _read_numbered(path: Path) -> LandmarkTable:
+    points = read_asf(path).points if path.suffix.lower() == ".asf" else read_pts(path)
+    return {_shape_id(path): dict(zip(point_names(len(points)), points, strict=True))}

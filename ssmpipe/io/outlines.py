@@ -1,32 +1,34 @@
-"""Planar outlines in and out: CSV with a header ``x,y``, and ``.pts``."""
+"""Planar outlines in and out: CSV with a header ``x,y``; ``.pts`` and ``.asf``, which name points as well, are read."""
 
 from __future__ import annotations
 
 import csv
 import io
-import math
 from pathlib import Path
 
 import numpy as np
 
 from ssmpipe.core.errors import ArtifactError, GeometryError
 from ssmpipe.core.outline.outline import Outline
+from ssmpipe.io.point_lists import number_in, read_asf, read_pts
 from ssmpipe.io.tables import read_rows, read_text
 
-OUTLINE_SUFFIXES = (".csv", ".pts")
+OUTLINE_SUFFIXES = (".csv", ".pts", ".asf")
 """Suffixes that :func:`read_outline` accepts, in lower case."""
 
 _ENDS_MEET = "# open: the ends meet"
 
 
-def read_outline(path: Path) -> Outline:
-    """Read ordered points; the outline is closed when the last point repeats the first.
+def read_outline(path: Path, remarks: list[str] | None = None) -> Outline:
+    """Read ordered points; the outline is closed when the last point repeats the first, or an ``.asf`` file says so.
 
     Parameters
     ----------
     path : Path
-        ``.csv`` with columns ``x`` and ``y`` (others are ignored), or ``.pts`` (``version``, ``n_points``, pairs in braces).
+        ``.csv`` with columns ``x`` and ``y`` (others are ignored), ``.pts`` or ``.asf`` (see :mod:`ssmpipe.io.point_lists`).
         Coordinates are taken as they stand: y may point down.
+    remarks : list of str, optional
+        Gets what the user should know of a file that can be read all the same.
 
     Raises
     ------
@@ -40,24 +42,23 @@ def read_outline(path: Path) -> Outline:
             f"'{path.suffix}' is not a format of outlines that can be read ({' '.join(OUTLINE_SUFFIXES)})",
             "save the points as CSV with a header x,y",
         )
-    points = _read_csv(path) if suffix == ".csv" else _read_pts(path)
-    if len(points) < 3:
-        raise ArtifactError(f"{path.name} has {len(points)} points, an outline needs at least 3", "check the file")
-    closed = bool(np.array_equal(points[0], points[-1])) and not read_text(path).startswith(_ENDS_MEET)
+    if suffix == ".asf":
+        annotation = read_asf(path, remarks)
+        return _outline(path, annotation.points, annotation.closed)
+    points = _read_csv(path) if suffix == ".csv" else read_pts(path)
+    closed = len(points) > 1 and bool(np.array_equal(points[0], points[-1]))
+    closed = closed and not read_text(path).startswith(_ENDS_MEET)
+    return _outline(path, points[:-1] if closed else points, closed)
+
+
+def _outline(path: Path, points: np.ndarray, closed: bool) -> Outline:
+    n_points = len(points) + closed
+    if n_points < 3:
+        raise ArtifactError(f"{path.name} has {n_points} points, an outline needs at least 3", "check the file")
     try:
-        return Outline(points[:-1] if closed else points, closed)
+        return Outline(points, closed)
     except GeometryError as error:
         raise ArtifactError(f"{path.name}: {error.fact}", error.remedy) from error
-
-
-def _number(cell: str, where: str) -> float:
-    try:
-        value = float(cell)
-    except ValueError as error:
-        raise ArtifactError(f"{where}: '{cell[:40]}' is not a number", "write one point per line") from error
-    if not math.isfinite(value):
-        raise ArtifactError(f"{where}: the coordinate is not finite", "remove the point")
-    return value
 
 
 def _read_csv(path: Path) -> np.ndarray:
@@ -68,17 +69,7 @@ def _read_csv(path: Path) -> np.ndarray:
     if "landmark" in names:
         raise ArtifactError(f"{path.name} is a table of landmarks, not an outline", "give it as input.landmarks")
     at = names.index("x"), names.index("y")
-    return np.array([[_number(cells[k], f"{path.name}, line {line}") for k in at] for line, cells in rows])
-
-
-def _read_pts(path: Path) -> np.ndarray:
-    text = read_text(path)
-    inside = text.partition("{")[2].partition("}")[0] if "{" in text else text
-    rows = [(number, line.split()) for number, line in enumerate(inside.splitlines(), start=1) if line.strip()]
-    for number, cells in rows:
-        if len(cells) != 2:
-            raise ArtifactError(f"{path.name}, point line {number}: {len(cells)} numbers, need 2", "write x y")
-    return np.array([[_number(cell, f"{path.name}, point line {number}") for cell in cells] for number, cells in rows])
+    return np.array([[number_in(cells[k], f"{path.name}, line {line}") for k in at] for line, cells in rows])
 
 
 def write_outline(path: Path, outline: Outline) -> None:

@@ -67,6 +67,8 @@ def inspect(
     try:
         if source.kind == "outline":
             found = _inspect_outline(source, found)
+        elif source.kind == "image":
+            found = _inspect_image(source, found)
         elif source.kind == "mesh":
             found = _inspect_mesh(source, found)
         if found.error:
@@ -159,15 +161,25 @@ def _inspect_outline(source: Source, found: ScanCheck) -> ScanCheck:
     from ssmpipe.io.outlines import read_outline
 
     factor = TO_MM[source.units]
-    outline = read_outline(source.path)
+    remarks: list[str] = []
+    outline = read_outline(source.path, remarks)
     outline = Outline(outline.points * factor, outline.closed)
     n_crossings = len(crossings(outline))
-    warnings = [f"the outline crosses itself {n_crossings} times"] if n_crossings else []
+    warnings = remarks + ([f"the outline crosses itself {n_crossings} times"] if n_crossings else [])
     points = {name: factor * np.array(p) for name, p in (source.landmarks or {}).items()}
     found = replace(found, n_vertices=len(outline.points), size=tuple(float(x) for x in np.ptp(outline.points, axis=0)))
     found = replace(found, farthest=max(landmark_distances(outline, points).values(), default=None))
     warnings += check_landmarks(outline, points, source.tolerance_mm, source.units)
     return replace(found, warnings=tuple(warnings))
+
+
+def _inspect_image(source: Source, found: ScanCheck) -> ScanCheck:
+    from ssmpipe.io.images import read_image
+
+    remarks: list[str] = []
+    height, width = read_image(source.path, remarks).size
+    source.check_inside((height, width))
+    return replace(found, size=(float(width), float(height)), warnings=tuple(remarks))
 
 
 def check_project(project: Project, jobs: int | None = None) -> list[ScanCheck]:

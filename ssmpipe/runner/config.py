@@ -21,6 +21,7 @@ from ssmpipe.runner.presets import PRESETS, find_preset
 from ssmpipe.runner.registry import RESERVED, Registry
 from ssmpipe.runner.sources import (
     ID,
+    IMAGE_SUFFIXES,
     KINDS,
     OUTLINE_SUFFIXES,
     SPLINE_SUFFIX,
@@ -179,7 +180,7 @@ def load_project(path: Path, overrides: Sequence[str] = (), registry: Registry |
         )
     available = set(kinds)
     if not kinds or mixed == ["spline"]:  # splines skip the stages before, whose options are checked all the same
-        available |= set(KINDS["outline" if planar else "mesh"])
+        available |= set(KINDS["image" if planar and _pictures(section.scans) else "outline" if planar else "mesh"])
     prepared: list[Step] = []
     for entry in entries:
         step = _step(entry, available, document, registry, base, problems, ids={s.id for s in sources})
@@ -556,6 +557,12 @@ def _enter(steps: list[Step], kinds: Mapping[str, str]) -> list[Step]:
 # --- the inputs ----------------------------------------------------------------------------------------------------
 
 
+def _pictures(scans: str | list[str] | None) -> bool:
+    """Whether the names of the scans, found or not, are those of pictures."""
+    given = scans if isinstance(scans, list) else [scans or ""]
+    return any(Path(pattern).suffix.lower() in IMAGE_SUFFIXES for pattern in given)
+
+
 def _usable_input(document: Document) -> InputConfig:
     """Return what can be read of a section `input` with problems, so that missing files are named together with them."""
     data = document.data.get("input")
@@ -577,8 +584,8 @@ def _sources(
     from ssmpipe.io.meshes import MESH_SUFFIXES
     from ssmpipe.io.tables import read_cohort
 
-    in_folders = (*(OUTLINE_SUFFIXES if planar else MESH_SUFFIXES), SPLINE_SUFFIX)
-    known = (*MESH_SUFFIXES, *OUTLINE_SUFFIXES, SPLINE_SUFFIX)
+    in_folders = (*((*OUTLINE_SUFFIXES, *IMAGE_SUFFIXES) if planar else MESH_SUFFIXES), SPLINE_SUFFIX)
+    known = (*MESH_SUFFIXES, *OUTLINE_SUFFIXES, *IMAGE_SUFFIXES, SPLINE_SUFFIX)
     found = len(problems)
 
     def note(error: SsmpipeError | str, *at: str) -> None:

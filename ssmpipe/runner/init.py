@@ -13,7 +13,7 @@ from ssmpipe.runner.config import variant_stages
 from ssmpipe.runner.execute import write_atomically
 from ssmpipe.runner.presets import Preset, find_preset
 from ssmpipe.runner.registry import Registry
-from ssmpipe.runner.sources import KINDS, OUTLINE_SUFFIXES, by_id, scan_files
+from ssmpipe.runner.sources import IMAGE_SUFFIXES, KINDS, OUTLINE_SUFFIXES, by_id, scan_files
 
 
 def write_config(
@@ -29,7 +29,7 @@ def write_config(
     from ssmpipe.io.meshes import MESH_SUFFIXES
 
     preset = find_preset(anatomy)
-    suffixes_read = OUTLINE_SUFFIXES if preset.topology == "curve" else MESH_SUFFIXES
+    suffixes_read = (*OUTLINE_SUFFIXES, *IMAGE_SUFFIXES) if preset.topology == "curve" else MESH_SUFFIXES
     if target.exists() and not overwrite:
         raise ConfigError(f"{target} exists already", "choose another name, or --overwrite")
     if not scans_dir.is_dir():

@@ -25,6 +25,7 @@ from ssmpipe.core.errors import ArtifactError, ConfigError, LandmarkError, Ssmpi
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.io.arrays import read_npz, write_npz
 from ssmpipe.io.codecs import load_artifact, read_json, save_artifact, write_json
+from ssmpipe.io.images import IMAGE_SUFFIXES, read_image
 from ssmpipe.io.landmarks import read_landmarks
 from ssmpipe.io.meshes import MESH_SUFFIXES, read_mesh, write_mesh
 from ssmpipe.io.outlines import OUTLINE_SUFFIXES, read_outline, write_outline
@@ -180,6 +181,8 @@ def _fits(kind: str, path: Path) -> bool:
         return suffix in MESH_SUFFIXES
     if kind == "outline":
         return suffix in OUTLINE_SUFFIXES
+    if kind == "image":
+        return suffix in IMAGE_SUFFIXES
     return suffix == ".npz" and kind in ("samples", "surface", "uv")
 
 
@@ -233,9 +236,13 @@ def _read_shape(path: Path, main: Port) -> tuple[dict[str, Any], dict[str, str]]
 def _read_main(path: Path, main: Port) -> Any:
     if main.kind == "trimesh":
         return read_mesh(path)
-    return (
-        read_outline(path) if main.kind == "outline" else load_artifact(main.kind, main.slot, path.parent, [path.name])
-    )
+    if main.kind not in ("outline", "image"):
+        return load_artifact(main.kind, main.slot, path.parent, [path.name])
+    remarks: list[str] = []
+    content = read_outline(path, remarks) if main.kind == "outline" else read_image(path, remarks)
+    for remark in remarks:
+        click.echo(f"warning: {remark}", err=True)
+    return content
 
 
 def _mapping(path: Path) -> dict[str, Any]:
@@ -321,7 +328,7 @@ def _write_shape(target: Path, main: Port, slots: Mapping[str, Any], kinds: Mapp
         with disk_errors():
             for slot in sorted(slots):
                 artifact, kind = slots[slot], kinds.get(slot, "")
-                if artifact is None or slot == main.slot or not kind:
+                if artifact is None or slot == main.slot or not kind or kind == "image":
                     continue
                 if kind == "trimesh":
                     arrays |= {f"{slot}/{kind}/vertices": artifact.vertices, f"{slot}/{kind}/faces": artifact.faces}

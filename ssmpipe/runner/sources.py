@@ -1,8 +1,8 @@
 """The scans: found, named, checked, and offered to the chain as its first slots.
 
 The original files are only ever read. A surface becomes the slots ``mesh`` (in mm), ``transform`` (unit factor),
-``landmarks`` and ``info``; a planar outline (``.csv``, ``.pts``) becomes ``contour`` instead of ``mesh``, a spline file
-(``.npz``, curve or surface) becomes ``surface``.
+``landmarks`` and ``info``; a planar outline (``.csv``, ``.pts``, ``.asf``) becomes ``contour`` instead of ``mesh``, a photograph or
+mask becomes ``image``, a spline file (``.npz``, curve or surface) becomes ``surface``.
 """
 
 from __future__ import annotations
@@ -20,12 +20,14 @@ from ssmpipe.runner.fingerprint import digest, file_digest
 ID = re.compile(r"(?!\.)[A-Za-z0-9._-]{1,64}")
 TO_MM: Mapping[str, float] = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001, "none": 1.0}
 SPLINE_SUFFIX = ".npz"
-OUTLINE_SUFFIXES = (".csv", ".pts")
+OUTLINE_SUFFIXES = (".csv", ".pts", ".asf")
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".pbm", ".pnm", ".webp")
 WARN_MM = 5.0
 _COMMON = {"transform": "transform", "landmarks": "landmarks", "info": "info"}
 KINDS: Mapping[str, Mapping[str, str]] = {
     "mesh": {"mesh": "trimesh", **_COMMON},
     "outline": {"contour": "outline", **_COMMON},
+    "image": {"image": "image", **_COMMON},
     "spline": {"surface": "surface", **_COMMON},
 }
 _SIDES = {"l": "L", "left": "L", "r": "R", "right": "R", "": None}
@@ -65,9 +67,10 @@ class Source:
 
     @property
     def kind(self) -> str:
-        """What the file is, by its suffix: ``mesh``, ``outline`` or ``spline``."""
+        """What the file is, by its suffix: ``mesh``, ``outline``, ``image`` or ``spline``."""
         suffix = self.path.suffix.lower()
-        return "spline" if suffix == SPLINE_SUFFIX else "outline" if suffix in OUTLINE_SUFFIXES else "mesh"
+        named = {"spline": (SPLINE_SUFFIX,), "outline": OUTLINE_SUFFIXES, "image": IMAGE_SUFFIXES}
+        return next((kind for kind, suffixes in named.items() if suffix in suffixes), "mesh")
 
     @property
     def kinds(self) -> Mapping[str, str]:
@@ -119,10 +122,18 @@ class Source:
             from ssmpipe.core.outline.outline import Outline
             from ssmpipe.io.outlines import read_outline
 
-            outline = read_outline(self.path)
+            remarks: list[str] = []
+            outline = read_outline(self.path, remarks)
             outline = Outline(outline.points * factor, outline.closed)
             warnings = check_landmarks(outline, marks.points, self.tolerance_mm, self.units)
-            return {"contour": outline, **common, "warnings": warnings}
+            return {"contour": outline, **common, "warnings": remarks + warnings}
+        if self.kind == "image":
+            from ssmpipe.io.images import read_image
+
+            remarks = []
+            picture = read_image(self.path, remarks)
+            self.check_inside(picture.size)
+            return {"image": picture, **common, "warnings": remarks}
         from ssmpipe.core.mesh.trimesh import TriMesh
         from ssmpipe.io.meshes import read_mesh
 
@@ -132,6 +143,24 @@ class Source:
         check_size(mesh, self.diagonal_mm, self.anatomy, self.units)
         warnings = check_landmarks(mesh, marks.points, self.tolerance_mm, self.units)
         return {"mesh": mesh, **common, "warnings": warnings}
+
+    def check_inside(self, size: tuple[int, int]) -> None:
+        """Refuse units of length for a picture of ``size`` (height, width), and landmarks outside of it.
+
+        Raises
+        ------
+        SsmpipeError
+        """
+        if self.units != "none":
+            raise ConfigError(f"input.units is {self.units}, a picture is measured in pixels", "set input.units: none")
+        for name, point in sorted((self.landmarks or {}).items()):
+            if len(point) != 2:
+                raise LandmarkError(f"landmark '{name}' has {len(point)} coordinates, a picture has 2", "write x,y")
+            if not (-1 <= point[0] <= size[1] and -1 <= point[1] <= size[0]):
+                raise LandmarkError(
+                    f"landmark '{name}' lies at {point[0]:.6g}, {point[1]:.6g}, outside of the {size[1]} x {size[0]} pixels",
+                    "give x to the right and y down, in pixels of this file",
+                )
 
     def _spline(self, factor: float) -> Any:
         from dataclasses import replace
@@ -242,6 +271,8 @@ def scan_files(patterns: Sequence[Path], suffixes: Sequence[str]) -> list[Path]:
             hits = [p for p in hits if p.is_file()]
         elif pattern.is_dir():
             hits = sorted(p for p in pattern.iterdir() if p.is_file() and p.suffix.lower() in suffixes)
+            pictures = {p.stem for p in hits if p.suffix.lower() in IMAGE_SUFFIXES}
+            hits = [p for p in hits if p.suffix.lower() not in (".asf", ".pts") or p.stem not in pictures]
             if not hits:
                 raise ConfigError(f"no scans in the folder {pattern}", f"put files of type {' '.join(suffixes)} there")
         elif pattern.exists():

@@ -53,6 +53,18 @@ def write_splines(
     for shape_id, spline in zip(ids, splines, strict=True):
         arrays = {"degree": np.array(spline.degrees), "control_points": spline.control_points}
         _savez(scans / f"{shape_id}.npz", arrays | dict(zip(("knots_u", "knots_v"), spline.knot_vectors, strict=False)))
+    write_truth(out_dir, ids, names, landmarks, truth, description)
+
+
+def write_truth(
+    out_dir: Path,
+    ids: Sequence[str],
+    names: Sequence[str],
+    landmarks: Floats,
+    truth: Mapping[str, Any],
+    description: Mapping[str, Any],
+) -> None:
+    """Write ``landmarks.csv``, ``truth.npz`` and ``truth.json``; parameters as in :func:`write_splines`."""
     rows = [",".join(("id", "landmark", *"xyz"[: landmarks.shape[2]]))]
     for shape_id, points in zip(ids, landmarks, strict=True):
         rows += [",".join((shape_id, name, *map(repr, p))) for name, p in zip(names, points.tolist(), strict=True)]

@@ -88,6 +88,19 @@ def draw(scores: Floats, lengths: Floats, angles: Floats, widths: Floats, own: F
     return np.asarray(points + waves @ own)
 
 
+def random_hand(rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Return the plan's points on a hand of random shape, (n_T, 2) [mm], and the scores of its modes, (3,)."""
+    score = np.clip(rng.normal(size=3), -2.5, 2.5)
+    hand = draw(
+        score,
+        1.0 + 0.03 * rng.normal(size=5),
+        rng.normal(size=5) * [5.0, 1.5, 1.5, 1.5, 2.5],
+        1.0 + 0.03 * rng.normal(size=5),
+        0.8 * rng.normal(size=(4, 2)),
+    )
+    return hand, score
+
+
 def _line(start: Floats, end: Floats, n: int) -> Floats:
     return np.asarray(start + np.linspace(0.0, 1.0, n, endpoint=False)[:, None] * (end - start))
 
@@ -108,14 +121,7 @@ def write_cohort(out_dir: Path, n: int = 40, seed: int = 0) -> None:
     curves, points, parameters, scores = [], [], [], []
     for i in range(n):
         rng = np.random.default_rng([seed, i])
-        score = np.clip(rng.normal(size=3), -2.5, 2.5)
-        hand = draw(
-            score,
-            1.0 + 0.03 * rng.normal(size=5),
-            rng.normal(size=5) * [5.0, 1.5, 1.5, 1.5, 2.5],
-            1.0 + 0.03 * rng.normal(size=5),
-            0.8 * rng.normal(size=(4, 2)),
-        )
+        hand, score = random_hand(rng)
         u = arc_parameters(hand)
         curves.append(fit_curve(hand, degree=2, n_control=N_CONTROL, parameters=u))
         points.append(hand)

@@ -91,6 +91,42 @@ def test_one_file_at_a_time(tmp_path: Path, outlines: Path) -> None:
     assert (code, "does not apply to this kind of file" in text) == (2, True)
 
 
+def test_photographs_become_a_model(tmp_path: Path) -> None:
+    folder = tmp_path / "hands"
+    assert ssmpipe("synth", "hand-photographs", folder, "--n", "4") == (0, f"4 shapes written to {folder}\n")
+    (folder / "scans/hand_01.pts").write_text("1 2\n3 4\n5 6\n")  # points of a picture are no scan of their own
+    config = tmp_path / "hands.yaml"
+    code, text = ssmpipe("init", "curve", folder / "scans", "-o", config)
+    assert (code, text.splitlines()[0]) == (0, f"4 scans in {folder / 'scans'}; config written to {config}")
+    assert "# landmarks" not in config.read_text(), "the landmarks beside the folder are found"
+    code, text = ssmpipe("check", config)
+    assert code == 0, text
+    assert "4 of 4 scans can be used" in text
+    quick = ["optimize.landmarks=[60]", "contour.ends=stem", "contour.longest_side=400", "fit.n_control=60"]
+    quick = [part for text in quick for part in ("--set", f"stages.{text}")]
+    code, text = ssmpipe("run", config, "-j", "1", "-q", *quick)
+    assert code == 0, text
+    with np.load(tmp_path / "out/hands/cohort/optimize/correspondence.npz") as found:
+        assert str(found["topology"]) == "curve-open"
+        for shape, points in zip(found["ids"], found["points_scan"], strict=True):
+            truth = read_outline(folder / "outlines" / f"{shape}.csv")
+            gaps = np.sqrt(((points[:, None] - truth.points) ** 2).sum(axis=-1)).min(axis=1)
+            assert gaps.max() < 8.0, "in the pixels of the picture"
+    code, text = ssmpipe("check", config, "--set", "input.units=mm")
+    assert "a picture is measured in pixels; try: set input.units: none" in text.replace("\n", " ")
+    (folder / "scans/hand_03.jpg").write_bytes(b"\xff\xd8\xff\xe0 cut off")
+    code, text = ssmpipe("run", config, "-j", "1", "-q", *quick)
+    assert code == 3
+    assert "hand_03.jpg" in text
+    assert "not a readable JPEG file" in text
+    target = tmp_path / "one.csv"
+    code, text = ssmpipe("contour", folder / "scans/hand_02.jpg", target, "--method", "silhouette", "--ends", "stem")
+    assert code == 0, text
+    assert "method: silhouette" in text
+    assert not read_outline(target).closed
+    assert not (tmp_path / "one.csv.npz").exists(), "the picture is not copied"
+
+
 def test_spline_files_enter_at_optimize(tmp_path: Path) -> None:
     assert ssmpipe("synth", "line-bump", tmp_path / "lines") == (0, f"4 shapes written to {tmp_path / 'lines'}\n")
     group = "[{optimize: {n_coefficients: [8], landmarks: [31]}}, model, evaluate, report]"
