@@ -97,7 +97,7 @@ def test_oddities_are_named() -> None:
     _, ctx = go(_contour_image, image=spoon(SIZE[0], (60, 18, 20)))
     assert any("leaves the picture at 2 places" in text for text in ctx.warnings)
     blank = Picture(np.full((*SIZE, 3), 0.5))
-    with pytest.raises(GeometryError, match="no skin|nothing stands out|standard deviations|fills"):
+    with pytest.raises(GeometryError, match=r"no skin|nothing stands out|standard deviations|fills"):
         go(_contour_image, image=blank)
 
 
@@ -106,7 +106,7 @@ def test_landmarks_of_another_picture_are_refused() -> None:
     assert not go(_contour_image, image=spoon(), landmarks=Landmarks(right))[1].warnings
     shifted = Landmarks({name: p + [0, 20] if name == "top" else p for name, p in right.items()})
     assert "1 of 3 landmarks" in go(_contour_image, image=spoon(), landmarks=shifted)[1].warnings[0]
-    with pytest.raises(LandmarkError, match="'top' is .* pixels away"):
+    with pytest.raises(LandmarkError, match=r"'top' is .* pixels away"):
         go(_contour_image, image=spoon(), landmarks=Landmarks(shifted.points, {"start": "top"}))
     with pytest.raises(LandmarkError, match="all 3 landmarks"):
         go(_contour_image, image=spoon(), landmarks=Landmarks({n: 0.3 * p for n, p in right.items()}))

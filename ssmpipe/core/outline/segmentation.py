@@ -26,6 +26,7 @@ _ROUNDS = 6
 _EDGE = 3  # pixels on both sides of the edge that belong to neither class while classes are learned
 _LOCAL = 4.0  # pixels over which the two levels beside the edge are averaged
 _ROUND = 0.003  # share of the contrast that is taken for noise in all colours, so that faint colours are not overrated
+_OTHER_SHARE = 0.05  # of the largest object's area; what is smaller counts as background
 _MASK_SHARE = 0.98
 _REMEDY = "use a plain background of another colour and even light, or give the outline as CSV"
 
@@ -173,7 +174,7 @@ def _mask(picture: Picture) -> tuple[Floats, Bools, float]:
         values = (gray - gray.min()) / np.ptp(gray)
     if (_rim(values) > 0.5).mean() > 0.5:
         values = 1.0 - values
-    region, other = _largest(values > 0.5)
+    region, _, other = _largest(values > 0.5)
     return (
         np.asarray(ndimage.gaussian_filter(values, 1.0)),
         region,
@@ -226,11 +227,11 @@ def _silhouette_seed(colors: Floats) -> Bools:
 
 def _separate(colors: Floats, seed: Bools) -> tuple[Bools, float, float]:
     """Improve a first guess of the object; return it, its separation from the background, and the next object's share."""
-    region, other = _largest(seed)
+    region, others, other = _largest(seed)
     y, x = np.mgrid[-1.0 : 1.0 : 1j * colors.shape[0], -1.0 : 1.0 : 1j * colors.shape[1]]
     terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
     for _ in range(_ROUNDS):
-        near, far = ndimage.binary_erosion(region, iterations=_EDGE, border_value=1), ~_grown(region, _EDGE)
+        near, far = ndimage.binary_erosion(region, iterations=_EDGE, border_value=1), ~_grown(region | others, _EDGE)
         if min(near.sum(), far.sum()) < 100:
             share = 100 * region.mean()
             raise GeometryError(f"the largest object fills {share:.2g} % of the picture", _REMEDY)
@@ -244,7 +245,7 @@ def _separate(colors: Floats, seed: Bools) -> tuple[Bools, float, float]:
         sigma_object, sigma_ground = float(level[near].std()), float(np.sqrt((level[far] ** 2).mean()))
         cut = np.clip(sigma_ground / max(sigma_object + sigma_ground, 1e-12), 0.3, 0.7)
         before = region
-        region, other = _largest(level > cut)
+        region, others, other = _largest(level > cut)
         if np.array_equal(region, before):
             break
     separation = 1.0 / float(np.sqrt(max(0.5 * (sigma_object**2 + sigma_ground**2), 1e-12)))
@@ -264,8 +265,8 @@ def _grown(region: Bools, n: int) -> Bools:
     return np.asarray(ndimage.binary_dilation(region, iterations=n))
 
 
-def _largest(region: Bools) -> tuple[Bools, float]:
-    """Return the largest connected part without its holes and specks, and the area of the next as a share of its own."""
+def _largest(region: Bools) -> tuple[Bools, Bools, float]:
+    """Return the largest connected part without holes, other objects of some size, and the largest one's share of its area."""
     opened = ndimage.binary_opening(np.pad(region, 2, mode="edge"), iterations=1)[2:-2, 2:-2]
     labels, n = ndimage.label(opened)
     if n == 0:
@@ -273,7 +274,9 @@ def _largest(region: Bools) -> tuple[Bools, float]:
     areas = np.bincount(labels.ravel(), minlength=n + 1)[1:]
     order = np.argsort(-areas, kind="stable")
     found = np.asarray(ndimage.binary_fill_holes(labels == order[0] + 1))
-    return found, float(areas[order[1]] / areas[order[0]]) if n > 1 else 0.0
+    others = np.concatenate([[False], areas >= _OTHER_SHARE * areas.max()])
+    others[order[0] + 1] = False
+    return found, others[labels], float(areas[order[1]] / areas[order[0]]) if n > 1 else 0.0
 
 
 def _traced(values: Floats, region: Bools, factor: int, method: str, separation: float, other: float) -> Segmentation:
