@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -13,6 +13,7 @@ from ssmpipe.core.mesh.distance import point_to_mesh
 from ssmpipe.core.mesh.grid import grid_faces
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.spline.fit import fit_surface, surface_grid
+from ssmpipe.core.spline.poles import surface_topology
 from ssmpipe.stages._fit_outline import OUTLINE
 
 
@@ -26,6 +27,13 @@ class Config(StageConfig):
     fairness: Annotated[
         float, Field(ge=0, description="Weight of the squared second derivative [-]; 0 is a plain least-squares fit.")
     ] = 0.0
+    seam: Annotated[
+        Literal["smooth", "kept"],
+        Field(
+            description="Where the surface closes. smooth: periodic knots, no edge along the seam, one tangent plane at a pole; "
+            "kept: through the samples of the seam, with an edge there."
+        ),
+    ] = "smooth"
     max_rms: Annotated[
         float,
         Field(
@@ -42,7 +50,14 @@ class Config(StageConfig):
 
 def run(*, samples: Floats, mesh: TriMesh, cfg: Config, ctx: Context) -> dict[str, Any]:
     """Fit, and report RMS and maximum distance both ways."""
-    surface = fit_surface(samples, degree=(cfg.degree, cfg.degree), n_control=cfg.n_control, fairness=cfg.fairness)
+    surface = fit_surface(
+        samples,
+        degree=(cfg.degree, cfg.degree),
+        n_control=cfg.n_control,
+        fairness=cfg.fairness,
+        smooth=cfg.seam == "smooth",
+    )
+    ctx.metric("topology", surface_topology(surface))
     n_u, n_v = 4 * cfg.n_control[0] + 1, 4 * cfg.n_control[1] + 1
     dense = TriMesh(surface_grid(surface, n_u, n_v).reshape(-1, 3), grid_faces(n_u, n_v))
     to_spline = point_to_mesh(mesh.vertices, dense)[0]
@@ -63,7 +78,7 @@ def run(*, samples: Floats, mesh: TriMesh, cfg: Config, ctx: Context) -> dict[st
 STAGE = Stage(
     name="fit",
     scope="shape",
-    version=1,
+    version=2,
     config=Config,
     run=run,
     inputs=(Port("samples", "samples"), Port("mesh", "trimesh")),

@@ -17,6 +17,8 @@ from ssmpipe.core.mesh.grid import grid_faces
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.outline.outline import Outline
 from ssmpipe.core.spline.evaluate import Spline
+from ssmpipe.core.spline.poles import is_pole, surface_topology, tangent_plane
+from ssmpipe.core.spline.surface import BSplineSurface
 
 _DEFAULT = EngineOptions()
 
@@ -39,8 +41,8 @@ class Config(StageConfig):
     boundary: Annotated[
         Literal["auto", "fixed", "sliding", "periodic"],
         Field(
-            description="fixed: boundary points stay; sliding: they may slide along their edge, corners stay; periodic: closed "
-            "curves and tubes, the seam may move; auto: periodic where the splines close, else fixed."
+            description="fixed: boundary points stay; sliding: they may slide along their edge, corners stay; periodic: "
+            "closed curves, tubes and surfaces with poles, the seam may move; auto: periodic where the splines close, else fixed."
         ),
     ] = "auto"
     covariance: Annotated[
@@ -189,7 +191,8 @@ def run(
     splines = [surface[i] for i in ids]
     chosen = cfg.model_dump(exclude={"lambda_cut", "reference", "boundary", "guides"})
     chosen["lambda_cut"] = None if cfg.lambda_cut == "auto" else cfg.lambda_cut
-    chosen["boundary"] = _boundary(cfg.boundary, splines)
+    topology = _topology(ids, splines)
+    chosen["boundary"] = _boundary(cfg.boundary, topology)
     options = EngineOptions(**chosen, reference=_reference(cfg.reference, ids))
     start = time.perf_counter()
     elapsed: list[float] = []
@@ -215,6 +218,7 @@ def run(
         ("smallest_jacobian_bound", min(c.lower_bound for c in optimum.certificates)),
         ("reference", ids[optimum.reference] if optimum.reference >= 0 else "none"),
         ("boundary", options.boundary),
+        ("topology", topology),
     ):
         ctx.metric(name, value)
     if optimum.guide_residuals.size:
@@ -226,25 +230,49 @@ def run(
             f"the reparameterization of {', '.join(unproved)} is not proved one-to-one; "
             "use optimize.form: bezier, or raise the last of optimize.barriers"
         )
-    correspondence = _correspondence(optimum, ids, splines, transform, options)
+    correspondence = _correspondence(optimum, ids, topology, transform, options)
+    certificate = _certificate(optimum, ids, splines)
+    doubtful = [
+        i for i, one in certificate["shapes"].items() if any(p["status"] != "proved" for p in one.get("poles", ()))
+    ]
+    if doubtful:
+        ctx.warn(
+            f"the tangent plane at a pole of {', '.join(doubtful)} is not proved unique; use fit.seam: smooth, or fewer control points"
+        )
     history = {key: values.tolist() for key, values in result.history.items()}
     columns = {"iteration": [int(k) for k in history.pop("iteration")], "elapsed_s": elapsed, **history}
     comment = "description_length [nat], in the pose of the moment; elapsed_s is a timing and differs from run to run"
     return {
         "correspondence": correspondence,
-        "certificate": _certificate(optimum, ids),
+        "certificate": certificate,
         "history": Table(columns, comment),
         "corresponded": _corresponded(correspondence),
     }
 
 
-def _boundary(choice: str, splines: list[Spline]) -> Any:
-    if choice != "auto":
-        return choice
-    closed = [bool(np.allclose(s.control_points[0], s.control_points[-1], rtol=0, atol=1e-9)) for s in splines]
-    if any(closed) and not all(closed):
-        raise ConfigError(f"{sum(closed)} of {len(closed)} shapes are closed, the others open", "set optimize.boundary")
-    return "periodic" if all(closed) else "fixed"
+def _topology(ids: tuple[str, ...], splines: list[Spline]) -> str:
+    """Return what the splines are, by their control points; they must agree."""
+    kinds: list[str] = []
+    for spline in splines:
+        if isinstance(spline, BSplineSurface):
+            kinds.append(surface_topology(spline))
+        else:
+            ends = spline.control_points[[0, -1]]
+            kinds.append("curve-closed" if np.allclose(ends[0], ends[1], rtol=0, atol=1e-9) else "curve-open")
+    for i, kind in zip(ids, kinds, strict=True):
+        if kind != kinds[0]:
+            raise ConfigError(
+                f"'{ids[0]}' is a {kinds[0]} and '{i}' is a {kind}; one model needs shapes of one topology",
+                "leave one kind out, or parameterize all of them the same way",
+            )
+    return kinds[0]
+
+
+def _boundary(choice: str, topology: str) -> Any:
+    closes = topology not in ("disk", "curve-open")
+    if choice == "periodic" and not closes:
+        raise ConfigError(f"optimize.boundary: periodic needs shapes that close, these are {topology}", "auto")
+    return ("periodic" if closes else "fixed") if choice == "auto" else choice
 
 
 def _expected(cfg: Config) -> int:
@@ -278,9 +306,9 @@ def _guides(
 
 
 def _correspondence(
-    optimum: Optimum, ids: tuple[str, ...], splines: list[Spline], transform: dict[str, Floats], options: EngineOptions
+    optimum: Optimum, ids: tuple[str, ...], topology: str, transform: dict[str, Floats], options: EngineOptions
 ) -> Correspondence:
-    d = splines[0].dimension
+    d = optimum.points.shape[2]
     matrices = np.repeat(np.eye(4)[None], len(ids), axis=0)
     matrices[:, :d, :d] = optimum.alignment.rotation
     matrices[:, :d, 3] = optimum.alignment.translation
@@ -290,21 +318,32 @@ def _correspondence(
     def to_scan(points: Floats) -> Floats:
         return points @ np.swapaxes(back[:, :d, :d], 1, 2) + back[:, None, :d, 3]
 
-    periodic = options.boundary == "periodic"
     grid = options.landmarks
+    closes = topology not in ("disk", "curve-open")
+    if closes and options.boundary != "periodic":
+        grid = (grid[0] - 1, *grid[1:])  # the seam stays, and is stored once all the same
+    poles = {end: topology == "closed" or (topology == "cone" and end == -1) for end in (0, -1)}
+    faces = np.empty((0, 3), dtype=np.int64)
     if len(grid) == 2:
-        faces, topology = grid_faces(grid[0], grid[1], periodic_u=periodic), "tube" if periodic else "disk"
-    else:
-        faces, topology = np.empty((0, 3), dtype=np.int64), "curve-closed" if periodic else "curve-open"
+        faces = grid_faces(*grid, periodic_u=closes, pole_start=poles[0], pole_end=poles[-1])
+
+    def stored(points: Floats) -> Floats:
+        kept = points[:, : int(np.prod(grid))].copy()
+        field = kept.reshape(len(kept), *grid, -1)
+        for end in (end for end, is_one in poles.items() if is_one and points.shape[2] == d):
+            field[:, :, end] = field[:, :1, end]  # one point to the bit
+        return kept
+
+    points, initial = stored(optimum.points), stored(optimum.initial_points)
     return Correspondence(
         ids=ids,
-        points=optimum.points,
-        points_scan=to_scan(optimum.points),
-        initial_points=optimum.initial_points,
-        initial_points_scan=to_scan(optimum.initial_points),
+        points=points,
+        points_scan=to_scan(points),
+        initial_points=initial,
+        initial_points_scan=to_scan(initial),
         transform=matrices,
         scale=optimum.alignment.scale,
-        parameters=optimum.parameters,
+        parameters=optimum.parameters[:, : int(np.prod(grid))],
         grid=grid,
         faces=faces,
         topology=topology,
@@ -336,9 +375,10 @@ def _corresponded(correspondence: Correspondence) -> dict[str, TriMesh | Outline
     return out
 
 
-def _certificate(optimum: Optimum, ids: tuple[str, ...]) -> dict[str, Any]:
+def _certificate(optimum: Optimum, ids: tuple[str, ...], splines: list[Spline]) -> dict[str, Any]:
     method = "smallest Bernstein coefficient of det dD/du over the domain, bisected until proved or refuted, rounding included"
-    return {
+    poles = {i: _poles(spline) for i, spline in zip(ids, splines, strict=True)}
+    out: dict[str, Any] = {
         "quantity": "lower bound of det dD/du over the whole parameter domain",
         "method": method,
         "all_proved": all(c.verdict == "proved" for c in optimum.certificates),
@@ -349,16 +389,43 @@ def _certificate(optimum: Optimum, ids: tuple[str, ...]) -> dict[str, Any]:
                 "status": c.verdict,
                 "subdivisions": c.n_subdivisions,
                 "method": method,
+                **({"poles": poles[i]} if poles[i] else {}),
             }
             for i, c in zip(ids, optimum.certificates, strict=True)
         },
     }
+    if any(poles.values()):
+        out["pole_condition"] = (
+            "the second row of control points lies in one plane through the pole (deviation_deg, at most 1e-6) and its curve turns "
+            "around the pole in one sense (winding: smallest Bernstein coefficient of its turning speed, 1 for an even circle); so "
+            "the fitted surface has one tangent plane there, and D, which keeps the edge of the square, does not change it"
+        )
+    return out
+
+
+def _poles(spline: Spline) -> list[dict[str, Any]]:
+    """Return the tangent-plane condition at each pole."""
+    if not isinstance(spline, BSplineSurface) or surface_topology(spline) == "disk":
+        return []
+    found = []
+    for end in (end for end in (0, -1) if is_pole(spline, end)):
+        plane = tangent_plane(spline, end)
+        found.append(
+            {
+                "v": 0 if end == 0 else 1,
+                "normal": plane.normal.tolist(),
+                "deviation_deg": plane.deviation_deg,
+                "winding": plane.winding,
+                "status": "proved" if plane.deviation_deg <= 1e-6 and plane.winding > 1e-9 else "refuted",
+            }
+        )
+    return found
 
 
 STAGE = Stage(
     name="optimize",
     scope="cohort",
-    version=5,
+    version=6,
     config=Config,
     run=run,
     inputs=(Port("surface", "surface"), Port("transform", "transform"), Port("landmarks", "landmarks", optional=True)),

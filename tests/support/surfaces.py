@@ -39,3 +39,32 @@ def taylor_rate(value, gradient, x, direction, steps=(1e-2, 1e-3, 1e-4, 1e-5)) -
         rates.append(np.log(remainder[k - 1] / remainder[k]) / np.log(steps[k - 1] / steps[k]))
     assert len(rates) >= 2, f"too few usable steps: {remainder}"
     return min(rates)
+
+
+def wrapped_samples(kind: str, n: int = 81, *, phase: float = 0.0, bump: float = 1.0, size: float = 10.0):
+    """Return (n, n, 3) samples of a tube, cone or closed surface with a bump; ``phase`` is where u starts [turns]."""
+    u = np.linspace(0, 1, n)
+    u, v = np.meshgrid(u, u, indexing="ij")
+    angle = 2 * np.pi * (u + phase)
+    lift = 0.25 * bump * np.exp(-((np.mod(angle - 2, 2 * np.pi) - np.pi) ** 2) / 0.8 - (v - 0.5) ** 2 / 0.1)
+    if kind == "tube":
+        r = 1 + lift
+        samples = np.stack([r * np.cos(angle), 0.9 * r * np.sin(angle), 3 * v], -1)
+    else:
+        polar = (np.pi if kind == "closed" else np.pi / 2) * (1 - v)
+        r = 1 + lift * np.sin(polar)
+        x, y = r * np.sin(polar) * np.cos(angle), 0.9 * r * np.sin(polar) * np.sin(angle)
+        samples = np.stack([x, y, 1.2 * r * np.cos(polar)], -1)
+    samples *= size
+    samples[-1] = samples[0]
+    if kind != "tube":
+        samples[:, -1] = samples[0, -1]
+    if kind == "closed":
+        samples[:, 0] = samples[0, 0]
+    return samples
+
+
+def wrapped(kind: str, *, degree: int = 2, n: int = 24, smooth: bool = True, **options) -> BSplineSurface:
+    """Return the spline through :func:`wrapped_samples`."""
+    samples = wrapped_samples(kind, **options)
+    return fit_surface(samples, degree=(degree, degree), n_control=(n, n), smooth=smooth)

@@ -9,6 +9,8 @@ from ssmpipe.core.arrays import Floats
 from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.spline.basis import design_matrix, gauss_rule
 from ssmpipe.core.spline.knots import clamped_uniform_knots
+from ssmpipe.core.spline.periodic import clamped_control, periodic_coefficients
+from ssmpipe.core.spline.poles import flatten_pole
 from ssmpipe.core.spline.surface import BSplineSurface
 
 
@@ -61,13 +63,18 @@ def end_interpolating_solver(parameters: Floats, knots: Floats, degree: int, *, 
 
 
 def fit_surface(
-    samples: Floats, *, degree: tuple[int, int] = (2, 2), n_control: tuple[int, int] = (60, 60), fairness: float = 0.0
+    samples: Floats,
+    *,
+    degree: tuple[int, int] = (2, 2),
+    n_control: tuple[int, int] = (60, 60),
+    fairness: float = 0.0,
+    smooth: bool = True,
 ) -> BSplineSurface:
     """Fit a B-spline surface to samples on a regular grid of the unit square.
 
     The four boundary curves are fitted from the boundary samples alone and pass through the corner samples; so two fits
     that share a row of samples share the boundary curve exactly. Where the first and the last row are equal the surface closes
-    exactly, and a column of equal samples stays one point.
+    exactly, and a column of equal samples stays one point, a pole.
 
     Parameters
     ----------
@@ -77,6 +84,10 @@ def fit_surface(
     n_control : (int, int), default=(60, 60)
     fairness : float, default=0
         Weight of the squared second derivative per direction; 0 is a pure least-squares fit.
+    smooth : bool, default=True
+        A surface that closes is periodic of order ``C^(degree - 1)``, the seam included, and its tangent plane at a pole is made
+        unique (:func:`~ssmpipe.core.spline.poles.flatten_pole`). Otherwise it passes through the samples of the seam and has an
+        edge there.
 
     Returns
     -------
@@ -99,6 +110,7 @@ def fit_surface(
     >>> bool(np.allclose(surface.control_points[-1, -1], [1, 1, 1]))
     True
     """
+    closes = np.array_equal(samples[0], samples[-1])
     solvers = []
     knots = []
     for axis in range(2):
@@ -108,15 +120,27 @@ def fit_surface(
                 f"{m} samples cannot determine {n} control points", "sample more densely or use fewer control points"
             )
         knots.append(clamped_uniform_knots(n, degree[axis]))
-        solvers.append(end_interpolating_solver(np.linspace(0, 1, m), knots[axis], degree[axis], fairness=fairness))
+        t = np.linspace(0, 1, m)
+        if axis == 0 and closes and smooth:
+            if n < degree[0] + 3:
+                raise GeometryError(
+                    f"{n} control points are too few around a surface that closes", f"at least {degree[0] + 3}"
+                )
+            ring = periodic_coefficients(np.eye(m - 1), t[:-1], degree[0], n - degree[0], fairness)
+            # the last sample is the first one again
+            solvers.append(np.column_stack([clamped_control(ring, degree[0]), np.zeros(n)]))
+        else:
+            solvers.append(end_interpolating_solver(t, knots[axis], degree[axis], fairness=fairness))
     rows = np.tensordot(solvers[0], samples, axes=(1, 0))
     control = np.moveaxis(np.tensordot(solvers[1], rows, axes=(1, 1)), 0, 1)
     # where the samples close, the surface closes to the bit: products of equal rows may differ in the last one
-    if np.array_equal(samples[0], samples[-1]):
+    if closes:
         control[-1] = control[0]
     for column in (0, -1):
         if (samples[:, column] == samples[0, column]).all():
             control[:, column] = samples[0, column]
+            if closes and smooth and samples.shape[2] == 3:
+                control = flatten_pole(control, column)
     return BSplineSurface(degree, knots[0], knots[1], control)
 
 

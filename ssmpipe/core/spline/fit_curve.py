@@ -5,18 +5,17 @@ from __future__ import annotations
 from typing import Literal, TypeAlias
 
 import numpy as np
-import scipy.linalg
-from scipy.interpolate import BSpline
 
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.errors import ConvergenceError, GeometryError
 from ssmpipe.core.outline.distance import point_to_segments
 from ssmpipe.core.outline.outline import edge_indices
 from ssmpipe.core.spline.arc_length import arc_length_at
-from ssmpipe.core.spline.basis import design_matrix, gauss_rule, periodic_design_matrix
+from ssmpipe.core.spline.basis import design_matrix
 from ssmpipe.core.spline.curve import BSplineCurve
 from ssmpipe.core.spline.fit import end_interpolating_solver
 from ssmpipe.core.spline.knots import clamped_uniform_knots
+from ssmpipe.core.spline.periodic import clamped_control, periodic_coefficients
 
 Spacing: TypeAlias = Literal["arc-length", "chord", "centripetal", "uniform"]
 
@@ -80,16 +79,8 @@ def clamp_periodic(coefficients: Floats, degree: int) -> BSplineCurve:
     >>> clamp_periodic(np.array([[0.0], [1.0], [2.0]]), 2).control_points.ravel()
     array([0.5, 1. , 2. , 0. , 0.5])
     """
-    n_spans = len(coefficients)
-    knots = np.arange(-degree, n_spans + degree + 1) / n_spans
-    spline = BSpline(knots, coefficients[np.arange(n_spans + degree) % n_spans], degree)
-    if degree > 1:
-        spline = spline.insert_knot(0.0, degree - 1).insert_knot(1.0, degree - 1)
-    first = int(np.searchsorted(spline.t, 0.0, side="right")) - 1 - degree
-    last = int(np.searchsorted(spline.t, 1.0, side="left")) - 1
-    control = spline.c[first : last + 1].copy()
-    control[-1] = control[0]
-    return BSplineCurve(degree, clamped_uniform_knots(n_spans + degree, degree), control)
+    n_control = len(coefficients) + degree
+    return BSplineCurve(degree, clamped_uniform_knots(n_control, degree), clamped_control(coefficients, degree))
 
 
 def fit_curve(
@@ -253,30 +244,11 @@ def _checked(parameters: Floats, n_points: int, closed: bool) -> Floats:
 
 def _fit(points: Floats, u: Floats, degree: int, n_control: int, closed: bool, fairness: float) -> BSplineCurve:
     if closed:
-        return clamp_periodic(_periodic_fit(points, u, degree, n_control - degree, fairness), degree)
+        return clamp_periodic(periodic_coefficients(points, u, degree, n_control - degree, fairness), degree)
     knots = clamped_uniform_knots(n_control, degree)
     if fairness == 0:
         _check_data_per_span(u, knots, degree)
     return BSplineCurve(degree, knots, end_interpolating_solver(u, knots, degree, fairness=fairness) @ points)
-
-
-def _periodic_fit(points: Floats, u: Floats, degree: int, n_spans: int, fairness: float) -> Floats:
-    basis = periodic_design_matrix(u, n_spans, degree)
-    normal = basis.T @ basis / len(points)
-    if fairness > 0 and degree > 1:
-        nodes, weights = gauss_rule(np.linspace(0.0, 1.0, n_spans + 1), degree)
-        bending = periodic_design_matrix(nodes, n_spans, degree, 2)
-        normal = normal + fairness * bending.T @ (weights[:, None] * bending)
-    try:
-        factor = scipy.linalg.cho_factor(normal)
-        pivots = np.diag(factor[0])
-        if pivots.min() < 1e-7 * pivots.max():
-            raise np.linalg.LinAlgError
-    except np.linalg.LinAlgError:
-        raise GeometryError(
-            f"{len(points)} points, unevenly spaced, do not determine {n_spans} spans of a closed curve", _MORE_DATA
-        ) from None
-    return np.asarray(scipy.linalg.cho_solve(factor, basis.T @ points / len(points)))
 
 
 def _check_data_per_span(u: Floats, knots: Floats, degree: int) -> None:

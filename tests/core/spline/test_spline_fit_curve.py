@@ -7,7 +7,7 @@ import pytest
 
 from ssmpipe.core.errors import ConvergenceError, GeometryError
 from ssmpipe.core.spline.arc_length import arc_length_at
-from ssmpipe.core.spline.basis import design_matrix
+from ssmpipe.core.spline.basis import design_matrix, periodic_design_matrix
 from ssmpipe.core.spline.curve import BSplineCurve
 from ssmpipe.core.spline.fit_curve import (
     clamp_periodic,
@@ -16,7 +16,6 @@ from ssmpipe.core.spline.fit_curve import (
     fit_curve,
     fit_curve_within,
     fit_residual,
-    periodic_design_matrix,
 )
 from ssmpipe.core.spline.knots import clamped_uniform_knots
 
