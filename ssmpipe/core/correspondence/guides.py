@@ -26,6 +26,11 @@ class Guides:
     present : (n_S, n_K) bool
     weight : float
         [nat / mm^2].
+
+    Attributes
+    ----------
+    rows : (n_K, prod(n_b)) float64
+        Basis of one component of ``D`` at the common places.
     """
 
     def __init__(
@@ -40,30 +45,31 @@ class Guides:
         self.common = common
         self.own = own
         self._periodic = np.array(reparameterization.periodic)
-        self._rows = reparameterization.rows_at(common)
+        self.present = present
+        self.rows = reparameterization.rows_at(common)
         self._identity = reparameterization.identity()
         self._metric = 2.0 * weight * np.einsum("ikad,ikbd->ikab", tangents, tangents) * present[..., None, None]
 
     def residual(self, coefficients: Floats) -> Floats:
         """Return ``D_i(u_k) - u_ik`` (n_S, n_K, d_par), the short way round in periodic directions."""
         flat = (coefficients - self._identity).reshape(len(coefficients), -1, self.common.shape[1])
-        residual = self.common + self._rows @ flat - self.own
+        residual = self.common + self.rows @ flat - self.own
         return np.where(self._periodic, residual - np.round(residual), residual)
 
     def value_and_gradient(self, coefficients: Floats) -> tuple[float, Floats]:
         """Return the penalty and its gradient in the (n_S, *n_b, d_par) coefficients."""
         residual = self.residual(coefficients)
         force = np.einsum("ikab,ikb->ika", self._metric, residual)
-        gradient = self._rows.T @ force
+        gradient = self.rows.T @ force
         return 0.5 * float((force * residual).sum()), gradient.reshape(coefficients.shape)
 
     def curvature_along(self, direction: Floats) -> Floats:
         """Return the exact second derivative times (n_S, *n_b, d_par)."""
-        moved = self._rows @ direction.reshape(len(direction), -1, self.common.shape[1])
-        return np.asarray(self._rows.T @ np.einsum("ikab,ikb->ika", self._metric, moved)).reshape(direction.shape)
+        moved = self.rows @ direction.reshape(len(direction), -1, self.common.shape[1])
+        return np.asarray(self.rows.T @ np.einsum("ikab,ikb->ika", self._metric, moved)).reshape(direction.shape)
 
     def hessian(self, i: int) -> Floats:
         """Return the exact second derivative for shape ``i``, (n, n), components fastest."""
-        blocks = np.einsum("km,kab,kn->manb", self._rows, self._metric[i], self._rows, optimize=True)
+        blocks = np.einsum("km,kab,kn->manb", self.rows, self._metric[i], self.rows, optimize=True)
         size = blocks.shape[0] * blocks.shape[1]
         return np.asarray(blocks.reshape(size, size))

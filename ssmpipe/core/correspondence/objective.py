@@ -23,6 +23,7 @@ from ssmpipe.core.correspondence.covariance import (
 )
 from ssmpipe.core.correspondence.exact_rule import ExactRule
 from ssmpipe.core.correspondence.guides import Guides
+from ssmpipe.core.correspondence.interpolation import Interpolation
 from ssmpipe.core.correspondence.jacobian import Jacobian, JacobianForm, largest_feasible_step
 from ssmpipe.core.correspondence.prior import bending_matrix
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
@@ -86,6 +87,9 @@ class GroupObjective:
         contains the derivative of these motions.
     rule : ExactRule, optional
         Nodes and weights that follow the maps, for the integral of formulation I in closed form.
+    interpolate : bool, default=False
+        Hold the guides where they are: every direction leaves them met. Their weight then matters to the preconditioner only,
+        which is the nearer to the eliminated one the larger it is.
 
     Raises
     ------
@@ -115,6 +119,7 @@ class GroupObjective:
         other_gradient: Callable[[GroupObjective, Floats], Floats] | None = None,
         target: Floats | None = None,
         rule: ExactRule | None = None,
+        interpolate: bool = False,
     ) -> None:
         self.stack = stack
         self.reparameterization = reparameterization
@@ -145,6 +150,9 @@ class GroupObjective:
         self._free = reparameterization.free
         self._identity = reparameterization.identity()
         self._last: tuple[bytes, Evaluation] | None = None
+        self._interpolation: Interpolation | None = None
+        if interpolate and guides is not None:
+            self._interpolation = Interpolation(guides, self._free, self.moving)
 
     # -- unknowns ------------------------------------------------------------------------------------------------------
 
@@ -170,11 +178,15 @@ class GroupObjective:
         return out
 
     def _keep_gauge(self, vector: Floats) -> Floats:
-        """Remove the mean over the shapes when all of them move."""
-        if self.reference >= 0:
+        """Remove the mean over the shapes when all of them move, and what would move an interpolated guide."""
+        if self.reference >= 0 and self._interpolation is None:
             return vector
         rows = vector.reshape(len(self.moving), -1)
-        return (rows - rows.mean(axis=0)).ravel()
+        if self.reference < 0:
+            rows = rows - rows.mean(axis=0)
+        if self._interpolation is not None:
+            rows = self._interpolation.along(rows)
+        return rows.ravel()
 
     # -- value and gradient --------------------------------------------------------------------------------------------
 

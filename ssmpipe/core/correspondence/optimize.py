@@ -18,7 +18,8 @@ from ssmpipe.core.correspondence.certificate import Certificate, certify
 from ssmpipe.core.correspondence.direction import apply_directions
 from ssmpipe.core.correspondence.exact_rule import ExactRule
 from ssmpipe.core.correspondence.guides import Guides
-from ssmpipe.core.correspondence.jacobian import JacobianForm
+from ssmpipe.core.correspondence.interpolation import Interpolation
+from ssmpipe.core.correspondence.jacobian import Jacobian, JacobianForm
 from ssmpipe.core.correspondence.measure import Quadrature, grid_size_weights, landmark_rule
 from ssmpipe.core.correspondence.objective import Covariance, GroupObjective
 from ssmpipe.core.correspondence.reparameterization import Boundary, Reparameterization
@@ -38,6 +39,8 @@ Sensitivity = Literal["adjoint", "direct", "finite-difference"]
 _REFINED = ("refined", "each-evaluation")
 _EARLY_DECREASE = 1e-4
 """Rounds before the last barrier weight end at this relative decrease; more would not pay."""
+_ELIMINATING = 1e4
+"""Guides that are held weigh so many times their weight in the preconditioner, which then nearly eliminates their conditions."""
 _SLOW = {"direct": direct_gradient, "finite-difference": finite_difference_gradient}
 
 
@@ -90,9 +93,9 @@ class EngineOptions:
     guide_weight : float
         Pull of the guides [nat / mm^2].
     guide_mode : {"penalty", "interpolate"}
-        ``interpolate`` raises the pull until every guide is met within ``guide_tolerance``.
+        ``interpolate``: every guide is met to rounding, as a linear condition on the maps that no step leaves.
     guide_tolerance : float
-        [mm].
+        Largest miss of an interpolated guide that no map can meet exactly, one on a fixed edge for example [mm].
     sensitivity : {"adjoint", "direct", "finite-difference"}
         How the gradient of the spectral function is computed; the last two are slow and for comparison.
     solver : {"newton", "quasi-newton"}
@@ -235,6 +238,8 @@ def optimize_correspondence(
     for n, n_next in pairwise([*levels, opts.n_coefficients]):
         coefficients = cohort.descend(coefficients, cohort.space(n), opts.barriers[:1], recorder)[0]
         coefficients = _refined(coefficients, cohort.space(n), cohort.space(n_next))
+    if cohort.guided and opts.guide_mode == "interpolate":
+        coefficients = cohort.meet_guides(coefficients, reparameterization, recorder)
     pose_rounds = opts.pose_rounds if opts.pose in _REFINED or opts.normalize == "affine" else 0
     barriers = opts.barriers
     for pose_round in range(1 + pose_rounds):
@@ -242,8 +247,6 @@ def optimize_correspondence(
         if pose_round < pose_rounds and not cohort.refine_pose(coefficients, reparameterization):
             break
         barriers = opts.barriers[-1:]
-    if cohort.guided and opts.guide_mode == "interpolate":
-        coefficients, status = cohort.interpolate_guides(coefficients, reparameterization, recorder)
     return Result(
         cohort.optimum(coefficients, reparameterization),
         status,
@@ -288,6 +291,7 @@ class _Cohort:
         else:
             self.reference = opts.reference
         self.guide_weight = opts.guide_weight
+        self.interpolating = False
         self._guides = self._locate_guides(guides) if guides is not None else None
 
     @property
@@ -337,6 +341,7 @@ class _Cohort:
             other_gradient=_SLOW.get(self.opts.sensitivity),
             target=target,
             rule=self._rule(space),
+            interpolate=self.interpolating,
         )
 
     def descend(
@@ -456,24 +461,40 @@ class _Cohort:
         moved = np.einsum("ika,ikad->ikd", guides.residual(coefficients), self._guides[2])
         return np.where(self._guides[3], np.linalg.norm(moved, axis=-1), np.nan)
 
-    def interpolate_guides(
+    def meet_guides(
         self, coefficients: Floats, space: Reparameterization, recorder: _Recorder
-    ) -> tuple[Floats, Status]:
-        """Raise the pull until every guide is met."""
-        status: Status = "converged"
-        for _ in range(8):
-            if np.nanmax(self.guide_residuals(coefficients, space)) <= self.opts.guide_tolerance:
-                return coefficients, status
-            self.guide_weight *= 10.0
-            coefficients, status = self.descend(coefficients, space, self.opts.barriers[-1:], recorder)
-        worst = float(np.nanmax(self.guide_residuals(coefficients, space)))
-        if worst > self.opts.guide_tolerance:
-            raise FoldoverError(
-                f"the guides cannot all be met by one-to-one maps with {self.opts.n_coefficients} coefficients: "
-                f"{worst:.3g} mm are left, {self.opts.guide_tolerance:g} mm are allowed",
-                "raise n_coefficients, use guide_mode: penalty, or check the landmarks",
+    ) -> Floats:
+        """Return one-to-one maps that meet every guide, and hold them from now on.
+
+        The nearest maps that meet the guides may fold; then the guides pull, harder and harder, until those do not.
+        """
+        guides = self._guides_in(space)
+        assert guides is not None
+        if self.reference < 0 and not guides.present.all():
+            raise LandmarkError(
+                f"guides are met without a reference only if every shape has all of them; shape number "
+                f"{int(guides.present.all(axis=1).argmin()) + 1} lacks one",
+                "name a reference, mark the landmark, or use guide_mode: penalty",
             )
-        return coefficients, status
+        moving = np.array([i for i in range(len(self.splines)) if i != self.reference])
+        interpolation = Interpolation(guides, space.free, moving)
+        jacobian = Jacobian(space, self.opts.form)
+        for _ in range(9):
+            met = interpolation.meet(coefficients)
+            feasible = self.constraint.constraint(jacobian.coefficients(met[moving])).max() < 0
+            left = float(np.nanmax(self.guide_residuals(met, space)))
+            if feasible and left <= self.opts.guide_tolerance:
+                self.interpolating = True
+                self.guide_weight = max(self.guide_weight, _ELIMINATING * self.opts.guide_weight)
+                return met
+            coefficients = self.descend(coefficients, space, self.opts.barriers[:1], recorder)[0]
+            self.guide_weight *= 10.0
+        worst = float(np.nanmax(self.guide_residuals(coefficients, space)))
+        raise FoldoverError(
+            f"the guides cannot all be met by one-to-one maps with {self.opts.n_coefficients} coefficients: "
+            f"{worst:.3g} mm are left, {self.opts.guide_tolerance:g} mm are allowed",
+            "raise n_coefficients, use guide_mode: penalty, or check the landmarks",
+        )
 
     # -- result --------------------------------------------------------------------------------------------------------
 
