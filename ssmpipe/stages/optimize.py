@@ -118,11 +118,16 @@ class Config(StageConfig):
     ] = ()
     guide_weight: Annotated[float, Field(gt=0, description="Pull of the guides [nat / mm^2].")] = _DEFAULT.guide_weight
     guide_mode: Annotated[
-        Literal["penalty", "interpolate"], Field(description="interpolate: every guide is met exactly, as a condition on the maps.")
+        Literal["penalty", "interpolate"],
+        Field(description="interpolate: every guide is met exactly, as a condition on the maps."),
     ] = _DEFAULT.guide_mode
-    guide_tolerance: Annotated[float, Field(gt=0, description="Largest miss of an interpolated guide that no map meets exactly (on a fixed edge, say) [mm].")] = (
-        _DEFAULT.guide_tolerance
-    )
+    guide_tolerance: Annotated[
+        float,
+        Field(
+            gt=0,
+            description="Largest miss of an interpolated guide that no map meets exactly, on a fixed edge, say [mm].",
+        ),
+    ] = _DEFAULT.guide_tolerance
     sensitivity: Annotated[
         Literal["adjoint", "direct", "finite-difference"],
         Field(description="Gradient; the last two are slow, for comparison."),

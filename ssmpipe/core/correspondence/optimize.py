@@ -461,9 +461,7 @@ class _Cohort:
         moved = np.einsum("ika,ikad->ikd", guides.residual(coefficients), self._guides[2])
         return np.where(self._guides[3], np.linalg.norm(moved, axis=-1), np.nan)
 
-    def meet_guides(
-        self, coefficients: Floats, space: Reparameterization, recorder: _Recorder
-    ) -> Floats:
+    def meet_guides(self, coefficients: Floats, space: Reparameterization, recorder: _Recorder) -> Floats:
         """Return one-to-one maps that meet every guide, and hold them from now on.
 
         The nearest maps that meet the guides may fold; then the guides pull, harder and harder, until those do not.
