@@ -6,7 +6,7 @@ per coefficient would make its dense subproblem larger by a factor of hundreds. 
 that is certified maps, count for either side. No prior, no pose, one thread.
 
     python -m benchmarks.slsqp                                   about three minutes
-    python -m benchmarks.slsqp --case 100x8 --solver quasi-newton --budget 1800        the long one
+    python -m benchmarks.slsqp --case 100x8 --solver auto --sharpness 15 --budget 1800        the long one
 """
 
 from __future__ import annotations
@@ -105,7 +105,9 @@ def reached(track: Track, level: float) -> float:
     return next((t for t, v in track if v <= level), float("inf"))
 
 
-def compare(n_shapes: int, n_b: int, budget: float, seed: int, solvers: tuple[Solver, ...]) -> None:
+def compare(
+    n_shapes: int, n_b: int, budget: float, seed: int, solvers: tuple[Solver, ...], sharpnesses: list[float]
+) -> None:
     splines = moving_bumps(n_shapes, seed)
     f = group_objective(splines, (n_b, n_b), barrier=0.0)
     f.value_and_gradient(f.start())
@@ -116,7 +118,7 @@ def compare(n_shapes: int, n_b: int, budget: float, seed: int, solvers: tuple[So
     ours = {solver: run_engine(splines, n_b, solver) for solver in solvers}
     for solver, track in ours.items():
         print(f"  engine, {solver:13} final {track[-1][1]:9.4f}, {track[-1][0]:7.2f} s, {len(track) - 1} iterations")
-    for sharpness in (15.0, 200.0):
+    for sharpness in sharpnesses:
         track, ending = run_slsqp(f, sharpness, budget)
         seconds, best = track[-1]
         print(f"  SLSQP, K = {sharpness:<9g} best  {best:9.4f}, {seconds:7.2f} s, {ending}")
@@ -131,7 +133,10 @@ def compare(n_shapes: int, n_b: int, budget: float, seed: int, solvers: tuple[So
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--case", action="append", help="shapes x coefficients, such as 100x8; default 4x12 and 34x8")
-    parser.add_argument("--solver", action="append", choices=("quasi-newton", "newton"), help="default both")
+    parser.add_argument("--solver", action="append", choices=("auto", "quasi-newton", "newton"), help="default all")
+    parser.add_argument(
+        "--sharpness", type=float, nargs="+", default=[15.0, 200.0], help="K of the constraints of SLSQP"
+    )
     parser.add_argument(
         "--seeds", type=int, nargs="+", default=[3], help="of the cohort; the problem has many local minima"
     )
@@ -141,7 +146,8 @@ def main() -> None:
     for case in args.case or ["4x12", "34x8"]:
         n_shapes, n_b = map(int, case.split("x"))
         for seed in args.seeds:
-            compare(n_shapes, n_b, args.budget, seed, tuple(args.solver or ("quasi-newton", "newton")))
+            solvers = tuple(args.solver or ("auto", "quasi-newton", "newton"))
+            compare(n_shapes, n_b, args.budget, seed, solvers, args.sharpness)
 
 
 if __name__ == "__main__":

@@ -133,9 +133,10 @@ class Config(StageConfig):
         Field(description="Gradient; the last two are slow, for comparison."),
     ] = _DEFAULT.sensitivity
     solver: Annotated[
-        Literal["quasi-newton", "newton"],
+        Literal["auto", "quasi-newton", "newton"],
         Field(
-            description="newton: exact second derivatives; more time per iteration, deeper where the problem is hard."
+            description="newton: exact second derivatives; more time per iteration, deeper where the barrier is weak. auto: newton "
+            "in the last round of small cohorts if its barrier weight is below 1, else quasi-newton."
         ),
     ] = _DEFAULT.solver
     max_iterations: Annotated[int, Field(ge=1, description="Iterations per round.")] = _DEFAULT.max_iterations
@@ -430,7 +431,7 @@ def _poles(spline: Spline) -> list[dict[str, Any]]:
 STAGE = Stage(
     name="optimize",
     scope="cohort",
-    version=6,
+    version=7,
     config=Config,
     run=run,
     inputs=(Port("surface", "surface"), Port("transform", "transform"), Port("landmarks", "landmarks", optional=True)),

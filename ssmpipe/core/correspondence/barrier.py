@@ -53,30 +53,54 @@ class Barrier:
         margin = -self.constraint(jacobians)
         return float(-np.log(margin).sum()) if margin.min() > 0 else np.inf
 
-    def slope(self, jacobians: Floats) -> Floats:
-        """Return the derivative in every coefficient, (n_S, n) [2.23]."""
-        slack = jacobians - self.floor
-        if self.aggregate == "each":
-            return np.asarray(-1.0 / (slack.shape[1] * slack))
-        margin = -self.constraint(jacobians)
-        return np.asarray(-softmax(-self.sharpness * slack, axis=1) / margin[:, None])
+    def margins(self, jacobians: Floats) -> Floats:
+        """Return what must stay positive: the slack of every coefficient, (n_S, n), or ``-g``, (n_S, 1)."""
+        return jacobians - self.floor if self.aggregate == "each" else -self.constraint(jacobians)[:, None]
 
-    def slope_along(self, jacobians: Floats, change: Floats) -> Floats:
-        """Return the derivative of :meth:`slope` along ``change``, (n_S, n); exact."""
-        slack = jacobians - self.floor
+    def multipliers(self, jacobians: Floats) -> Floats:
+        """Return the multipliers of the margins that belong to the barrier with ``mu = 1``."""
+        count = jacobians.shape[1] if self.aggregate == "each" else 1
+        return np.asarray(1.0 / (count * self.margins(jacobians)))
+
+    def followed(self, jacobians: Floats, change: Floats, multipliers: Floats, weight: float) -> Floats:
+        """Return the multipliers after a Newton step of the primal-dual equations ``multiplier * margin = weight * const``.
+
+        They go at most 99.5 % of the way to zero (Nocedal and Wright 2006, section 19.2).
+
+        Parameters
+        ----------
+        jacobians, change : (n_S, n)
+            Coefficients before the step, and their derivative along the full step.
+        multipliers : (n_S, n) or (n_S, 1)
+        weight : float
+            ``mu``.
+        """
+        if self.aggregate == "ks":
+            change = (self._shares(jacobians) * change).sum(axis=1, keepdims=True)
+        aim = weight * self.multipliers(jacobians) - multipliers * change / self.margins(jacobians)
+        fall = float((1.0 - aim / multipliers).max())
+        return np.asarray(multipliers + min(1.0, 0.995 / max(fall, 0.995)) * (aim - multipliers))
+
+    def slope(self, jacobians: Floats, multipliers: Floats | None = None) -> Floats:
+        """Return the derivative in every coefficient, (n_S, n) [2.23], for ``mu = 1`` or with given multipliers."""
+        dual = self.multipliers(jacobians) if multipliers is None else multipliers
+        return -dual if self.aggregate == "each" else -self._shares(jacobians) * dual
+
+    def slope_along(self, jacobians: Floats, change: Floats, multipliers: Floats) -> Floats:
+        """Return the change of :meth:`slope` along ``change`` when multipliers answer, (n_S, n); exact at those of the barrier."""
+        stiffness = multipliers / self.margins(jacobians)
         if self.aggregate == "each":
-            return np.asarray(change / (slack.shape[1] * slack**2))
-        share = softmax(-self.sharpness * slack, axis=1)
-        margin = -self.constraint(jacobians)[:, None]
+            return np.asarray(stiffness * change)
+        share = self._shares(jacobians)
         mean = (share * change).sum(axis=1, keepdims=True)
-        return np.asarray(share * (self.sharpness * (change - mean) / margin + mean / margin**2))
+        return np.asarray(share * (self.sharpness * multipliers * (change - mean) + stiffness * mean))
 
-    def curvature(self, jacobians: Floats) -> Floats:
-        """Return a positive diagonal of the second derivative, (n_S, n), for Gauss-Newton blocks."""
-        slack = jacobians - self.floor
+    def curvature(self, jacobians: Floats, multipliers: Floats) -> Floats:
+        """Return a positive diagonal for :meth:`slope_along`, (n_S, n), for Gauss-Newton blocks."""
+        stiffness = multipliers / self.margins(jacobians)
         if self.aggregate == "each":
-            return np.asarray(1.0 / (slack.shape[1] * slack**2))
-        margin = -self.constraint(jacobians)
-        return np.asarray(
-            softmax(-self.sharpness * slack, axis=1) / margin[:, None] * (self.sharpness + 1.0 / margin[:, None])
-        )
+            return np.asarray(stiffness)
+        return np.asarray(self._shares(jacobians) * (self.sharpness * multipliers + stiffness))
+
+    def _shares(self, jacobians: Floats) -> Floats:
+        return np.asarray(softmax(-self.sharpness * (jacobians - self.floor), axis=1))

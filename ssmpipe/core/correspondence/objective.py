@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import scipy.linalg
 
 from ssmpipe.core.align.differentiable import align_to, align_to_adjoint
-from ssmpipe.core.arrays import Floats, Ints
+from ssmpipe.core.arrays import Floats
 from ssmpipe.core.blocks import map_blocks
 from ssmpipe.core.correspondence.barrier import Barrier
 from ssmpipe.core.correspondence.covariance import (
@@ -22,6 +21,7 @@ from ssmpipe.core.correspondence.covariance import (
     weight_adjoint,
 )
 from ssmpipe.core.correspondence.exact_rule import ExactRule
+from ssmpipe.core.correspondence.gauss_newton import gauss_newton_inverse
 from ssmpipe.core.correspondence.guides import Guides
 from ssmpipe.core.correspondence.interpolation import Interpolation
 from ssmpipe.core.correspondence.jacobian import Jacobian, JacobianForm, largest_feasible_step
@@ -33,10 +33,7 @@ from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.spline.evaluate import Jet, SplineStack
 
 Covariance = Literal["discrete", "I", "II"]
-COUPLED_UNKNOWNS = 3000
-"""Up to so many unknowns the preconditioner couples the shapes; its cost grows with the cube."""
 _SHAPES_PER_BLOCK = 4
-_PAIRS_PER_BLOCK = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,6 +150,7 @@ class GroupObjective:
         self._interpolation: Interpolation | None = None
         if interpolate and guides is not None:
             self._interpolation = Interpolation(guides, self._free, self.moving)
+        self._multipliers: Floats | None = None
 
     # -- unknowns ------------------------------------------------------------------------------------------------------
 
@@ -325,60 +323,47 @@ class GroupObjective:
         first, second = self.jacobian.along(moving, self._direction(direction), current)
         return largest_feasible_step(current - self.constraint.floor, first, second)
 
+    def step_taken(self, x: Floats, direction: Floats) -> None:
+        """Let the multipliers of the constraints follow an accepted step along ``direction`` (primal-dual).
+
+        Value and gradient remain those of the barrier. Only the curvature is built with the multipliers: where a constraint is
+        nearly active, the barrier's own is right in a tiny neighbourhood only, and steps would stop short at the walls.
+        """
+        if self.barrier > 0:
+            moving = self.coefficients(x)[self.moving]
+            current = self.jacobian.coefficients(moving)
+            first, _ = self.jacobian.along(moving, self._direction(direction), current)
+            self._multipliers = self.constraint.followed(current, first, self._multipliers_at(current), self.barrier)
+
+    def _multipliers_at(self, jacobians: Floats) -> Floats:
+        """Return the multipliers that followed the steps; before the first step those of the barrier."""
+        return self.barrier * self.constraint.multipliers(jacobians) if self._multipliers is None else self._multipliers
+
     def preconditioner(self, x: Floats) -> Callable[[Floats], Floats]:
-        """Return the inverse of the Gauss-Newton matrix: whole up to a few thousand unknowns, else one block per shape."""
+        """Return the inverse of the Gauss-Newton matrix, shapes coupled: see :func:`gauss_newton_inverse`."""
         evaluation = self.evaluate(x)
-        coefficients = self.coefficients(x)
         moving, threads = self.moving, self.stack.threads
+        coefficients = self.coefficients(x)[moving]
         n_d = self.reparameterization.n_directions
         free = np.flatnonzero(self._free.ravel())
-        weigh = evaluation.spectrum.slope(self.spectral) * (2.0 / (len(coefficients) - 1))
-        tangents = self._posed(evaluation, evaluation.jet.first)
+        coupling = evaluation.spectrum.slope(self.spectral)[np.ix_(moving, moving)] * (2.0 / (self.stack.n_shapes - 1))
         bending = self.prior * np.kron(self._bending, np.eye(n_d))
+        jacobians = self.jacobian.coefficients(coefficients)
+        stiffness = self.constraint.curvature(jacobians, self._multipliers_at(jacobians)) if self.barrier > 0 else None
 
-        def data(first: Ints, second: Ints) -> Floats:
-            metric = np.empty((len(first), len(evaluation.weights), n_d, n_d))
-            for a in range(n_d):
-                for b in range(n_d):
-                    metric[..., a, b] = _dot(tangents[a][first], tangents[b][second])
-            metric *= (weigh[first, second][:, None] * evaluation.weights)[..., None, None]
-            return evaluation.space.normal_blocks(metric)[:, free[:, None], free]
-
-        def diagonal(part: slice) -> Floats:
-            chunk = moving[part]
+        def own(part: slice) -> Floats:
+            chunk = coefficients[part]
             block = np.repeat(bending[None], len(chunk), axis=0)
-            if self.barrier > 0:
-                curvature = self.constraint.curvature(self.jacobian.coefficients(coefficients[chunk]))
-                block += self.barrier * self.jacobian.normal_blocks(coefficients[chunk], curvature)
+            if stiffness is not None:
+                block += self.jacobian.normal_blocks(chunk, stiffness[part])
             if self.guides is not None:
-                block += np.stack([self.guides.hessian(int(i)) for i in chunk])
-            block = block[:, free[:, None], free] + data(chunk, chunk)
-            trace = np.trace(block, axis1=1, axis2=2)
-            return np.asarray(block + (1e-8 / len(free) * trace)[:, None, None] * np.eye(len(free)))
+                block += np.stack([self.guides.hessian(int(i)) for i in moving[part]])
+            return block[:, free[:, None], free]
 
-        if len(moving) * len(free) > COUPLED_UNKNOWNS:
-
-            def inverted(part: slice) -> Floats:
-                inverse = np.linalg.inv(diagonal(part))
-                return np.asarray(0.5 * (inverse + np.swapaxes(inverse, 1, 2)))
-
-            inverses = np.concatenate(map_blocks(inverted, len(moving), _SHAPES_PER_BLOCK, threads))
-            return lambda vector: self._keep_gauge((inverses @ vector.reshape(len(inverses), -1, 1)).ravel())
-
-        whole = np.empty((len(moving), len(free), len(moving), len(free)))
-        rows, columns = np.triu_indices(len(moving), 1)
-
-        def coupled(part: slice) -> None:
-            blocks = data(moving[rows[part]], moving[columns[part]])
-            for i, j, block in zip(rows[part], columns[part], blocks, strict=True):
-                whole[i, :, j], whole[j, :, i] = block, block.T
-
-        map_blocks(coupled, len(rows), _PAIRS_PER_BLOCK, threads)
-        for i, block in enumerate(np.concatenate(map_blocks(diagonal, len(moving), _SHAPES_PER_BLOCK, threads))):
-            whole[i, :, i] = block
-        size = len(moving) * len(free)
-        factor = scipy.linalg.cho_factor(whole.reshape(size, size), lower=True, overwrite_a=True, check_finite=False)
-        return lambda vector: self._keep_gauge(scipy.linalg.cho_solve(factor, vector, check_finite=False))
+        tangents = tuple(t[moving] for t in self._posed(evaluation, evaluation.jet.first))
+        blocks = np.concatenate(map_blocks(own, len(moving), _SHAPES_PER_BLOCK, threads))
+        solve = gauss_newton_inverse(evaluation.space, coupling, evaluation.weights, tangents, blocks, threads)
+        return lambda vector: self._keep_gauge(solve(vector))
 
     def _posed(self, evaluation: Evaluation, fields: tuple[Floats, ...]) -> tuple[Floats, ...]:
         """Return derivatives (n_S, n_P, d) in the frame of the aligned points."""
@@ -418,7 +403,8 @@ class GroupObjective:
         bends = [(np.moveaxis(s[moving], 2, 1) * root * pulled).sum(axis=1) for s in second]
         current = coefficients[moving]
         jacobians = self.jacobian.coefficients(current)
-        wall = self.constraint.slope(jacobians) if self.barrier > 0 else jacobians
+        multipliers = self._multipliers_at(jacobians)
+        wall = self.constraint.slope(jacobians, multipliers) if self.barrier > 0 else jacobians
         wall_gradient = self.jacobian.pull_back(current, wall) if self.barrier > 0 else current
 
         def product(vector: Floats) -> Floats:
@@ -439,9 +425,11 @@ class GroupObjective:
             result = space.displacements_transposed(out)
             if self.barrier > 0:
                 change_of_j, _ = self.jacobian.along(current, direction, jacobians)
-                tightened = self.jacobian.pull_back(current, self.constraint.slope_along(jacobians, change_of_j))
+                tightened = self.jacobian.pull_back(
+                    current, self.constraint.slope_along(jacobians, change_of_j, multipliers)
+                )
                 turned = self.jacobian.pull_back(current + direction, wall) - wall_gradient
-                result = result + self.barrier * (tightened + turned)
+                result = result + tightened + turned
             if self.prior > 0:
                 result = result + self.prior * self._bent(direction)
             if self.guides is not None:

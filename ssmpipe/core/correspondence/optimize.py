@@ -17,6 +17,7 @@ from ssmpipe.core.correspondence.barrier import Aggregate, Barrier
 from ssmpipe.core.correspondence.certificate import Certificate, certify
 from ssmpipe.core.correspondence.direction import apply_directions
 from ssmpipe.core.correspondence.exact_rule import ExactRule
+from ssmpipe.core.correspondence.gauss_newton import FACTORED_UNKNOWNS
 from ssmpipe.core.correspondence.guides import Guides
 from ssmpipe.core.correspondence.interpolation import Interpolation
 from ssmpipe.core.correspondence.jacobian import Jacobian, JacobianForm
@@ -34,7 +35,7 @@ from ssmpipe.core.spline.project import nearest_parameters
 from ssmpipe.core.spline.surface import BSplineSurface
 
 Normalization = Literal["none", "size", "affine"]
-Solver = Literal["newton", "quasi-newton"]
+Solver = Literal["auto", "newton", "quasi-newton"]
 Sensitivity = Literal["adjoint", "direct", "finite-difference"]
 _REFINED = ("refined", "each-evaluation")
 _EARLY_DECREASE = 1e-4
@@ -98,8 +99,9 @@ class EngineOptions:
         Largest miss of an interpolated guide that no map can meet exactly, one on a fixed edge for example [mm].
     sensitivity : {"adjoint", "direct", "finite-difference"}
         How the gradient of the spectral function is computed; the last two are slow and for comparison.
-    solver : {"newton", "quasi-newton"}
-        ``newton``: truncated, with exact second derivatives; needs the adjoint.
+    solver : {"auto", "newton", "quasi-newton"}
+        ``newton``: truncated, with exact second derivatives; needs the adjoint. ``auto``: ``newton`` in the last round where
+        its barrier weight is below 1 and the Gauss-Newton matrix is small enough to be factored, else ``quasi-newton``.
     max_iterations : int
         Per round.
     relative_decrease : float
@@ -129,7 +131,7 @@ class EngineOptions:
     guide_mode: Literal["penalty", "interpolate"] = "penalty"
     guide_tolerance: float = 0.01
     sensitivity: Sensitivity = "adjoint"
-    solver: Solver = "quasi-newton"
+    solver: Solver = "auto"
     max_iterations: int = 300
     relative_decrease: float = 1e-5
 
@@ -362,7 +364,7 @@ class _Cohort:
                 DescentOptions(
                     max_iterations=self.opts.max_iterations,
                     relative_decrease=decrease,
-                    method=self.opts.solver if self.opts.sensitivity == "adjoint" else "quasi-newton",
+                    method=self._method(x.size, barrier, last),
                 ),
                 callback=partial(recorder.note_iteration, objective),
             )
@@ -370,6 +372,13 @@ class _Cohort:
             recorder.n_iterations += result.n_iterations
             recorder.n_evaluations += result.n_evaluations
         return objective.coefficients(x), status
+
+    def _method(self, n_unknowns: int, barrier: float, last: bool) -> Literal["newton", "quasi-newton"]:
+        if self.opts.sensitivity != "adjoint":
+            return "quasi-newton"
+        if self.opts.solver == "auto":
+            return "newton" if last and barrier < 1.0 and n_unknowns <= FACTORED_UNKNOWNS else "quasi-newton"
+        return self.opts.solver
 
     # -- pose ----------------------------------------------------------------------------------------------------------
 

@@ -29,6 +29,9 @@ class InteriorProblem(Protocol):
     def preconditioner(self, x: Floats) -> Callable[[Floats], Floats]:
         """Return an approximation of the inverse Hessian at ``x``, symmetric positive definite."""
 
+    def step_taken(self, x: Floats, direction: Floats) -> None:
+        """Hear that a step from ``x`` along ``direction`` was accepted, as a rule a part of it."""
+
 
 @runtime_checkable
 class CurvedProblem(InteriorProblem, Protocol):
@@ -152,6 +155,7 @@ def minimize_interior(
         sy = float(s @ y)
         if not newton and sy > 1e-10 * float(np.linalg.norm(s) * np.linalg.norm(y)):
             pairs.append((s, y, sy))
+        problem.step_taken(x, direction)
         decrease = value - trial_value
         x, value, gradient = trial, trial_value, trial_gradient
         values.append(value)

@@ -197,3 +197,13 @@ def test_any_number_of_threads_gives_the_same_bits(covariance):
             (value, gradient.tobytes(), f.preconditioner(x)(gradient).tobytes(), f.hessian(x)(gradient).tobytes())
         )
     assert results[0] == results[1] == results[2]
+
+
+def test_followed_multipliers_bend_the_curvature_and_not_the_gradient():
+    f = objective(barrier=0.5)
+    x = f.start() + 0.004 * np.random.default_rng(3).normal(size=f.start().size)
+    before, product, solved = f.value_and_gradient(x)[1], f.hessian(x)(x), f.preconditioner(x)(x)
+    f.step_taken(f.start(), x - f.start())
+    np.testing.assert_array_equal(f.value_and_gradient(x)[1], before)
+    assert not np.allclose(f.hessian(x)(x), product, rtol=1e-6, atol=0)
+    assert not np.allclose(f.preconditioner(x)(x), solved, rtol=1e-6, atol=0)

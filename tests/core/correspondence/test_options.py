@@ -48,6 +48,7 @@ def closed_curve(shift: float, phase: float, n: int = 40) -> BSplineCurve:
         {"degree": 3},
         {"pose": "each-evaluation"},
         {"solver": "newton"},
+        {"solver": "auto", "barriers": (10.0, 0.1)},
         {"sensitivity": "direct"},
     ],
     ids=str,

@@ -31,6 +31,9 @@ class Quadratic:
         scale = np.diag(self.a) + self.mu / x**2
         return lambda g: g / scale
 
+    def step_taken(self, x, direction):
+        pass
+
 
 def test_finds_the_minimum_of_an_ill_conditioned_quadratic():
     f = Quadratic()
@@ -97,6 +100,9 @@ def test_newton_descends_where_the_curvature_is_negative():
 
         def preconditioner(self, x):
             return lambda g: g.copy()
+
+        def step_taken(self, x, direction):
+            pass
 
         def largest_step(self, x, direction):
             return np.inf

@@ -1,0 +1,186 @@
+"""The Gauss-Newton matrix of the group objective, inverted: factored while it is small, else by conjugate gradients.
+
+Block ``(i, j)`` is ``c_ij T_i^T W T_j``, plus on the diagonal what each shape has of its own (barrier, prior, guides). ``T_i`` takes
+coefficients to movements of landmarks, ``W`` holds the landmark weights, and ``c`` couples the shapes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from ssmpipe.core.arrays import Floats, Ints
+from ssmpipe.core.blocks import map_blocks
+from ssmpipe.core.correspondence.reparameterization import Reparameterization
+
+Singles: TypeAlias = NDArray[np.float32]
+
+FACTORED_UNKNOWNS = 1500
+"""Up to so many unknowns a Cholesky factor is cheaper than the iteration; its cost grows with the cube."""
+_NODES_PER_SPAN = 3
+_RESIDUAL = 0.2
+_MOST_PRODUCTS = 60
+_SHAPES_PER_BLOCK = 4
+_PAIRS_PER_BLOCK = 8
+
+
+def gauss_newton_inverse(
+    space: Reparameterization,
+    coupling: Floats,
+    weights: Floats,
+    tangents: tuple[Floats, ...],
+    own: Floats,
+    threads: int = 1,
+) -> Callable[[Floats], Floats]:
+    """Return the product of the inverse with a vector.
+
+    Parameters
+    ----------
+    space : Reparameterization
+        Its nodes are the ``n_P`` landmarks, its free coefficients the ``n`` unknowns of a shape.
+    coupling : (m, m)
+        ``c``, positive semidefinite.
+    weights : (n_P,)
+    tangents : d_par arrays of (m, n_P, d)
+        ``S_u, S_v`` of every moving shape.
+    own : (m, n, n)
+        Blocks of the shapes themselves, positive semidefinite.
+    threads : int, default=1
+
+    Returns
+    -------
+    callable
+        (m * n,) to (m * n,). Beyond ``FACTORED_UNKNOWNS`` it is approximate, but the same for the same input.
+    """
+    invert = _by_factor if own.shape[0] * own.shape[1] <= FACTORED_UNKNOWNS else _by_iteration
+    return invert(space, coupling, weights, tangents, own, threads)
+
+
+def _metric(first: tuple[Floats, ...], second: tuple[Floats, ...]) -> Floats:
+    """Return ``T_i^T T_j`` at every landmark, (..., n_P, d_par, d_par)."""
+    rows = [np.stack([np.einsum("...d,...d->...", a, b) for b in second], axis=-1) for a in first]
+    return np.stack(rows, axis=-2)
+
+
+def _shifted(blocks: Floats) -> Floats:
+    """Return the blocks with a trace of the unit matrix, so that they can be factored."""
+    n = blocks.shape[-1]
+    shift = 1e-8 / n * np.trace(blocks, axis1=-2, axis2=-1)
+    return np.asarray(blocks + shift[..., None, None] * np.eye(n))
+
+
+def _by_factor(
+    space: Reparameterization,
+    coupling: Floats,
+    weights: Floats,
+    tangents: tuple[Floats, ...],
+    own: Floats,
+    threads: int,
+) -> Callable[[Floats], Floats]:
+    """Assemble all blocks and factor them."""
+    m, n = own.shape[:2]
+    free = np.flatnonzero(space.free.ravel())
+    whole = np.empty((m, n, m, n))
+
+    def data(first: Ints, second: Ints) -> Floats:
+        metric = _metric(tuple(t[first] for t in tangents), tuple(t[second] for t in tangents))
+        metric *= (coupling[first, second][:, None] * weights)[..., None, None]
+        return space.normal_blocks(metric)[:, free[:, None], free]
+
+    rows, columns = np.triu_indices(m, 1)
+
+    def coupled(part: slice) -> None:
+        blocks = data(rows[part], columns[part])
+        for i, j, block in zip(rows[part], columns[part], blocks, strict=True):
+            whole[i, :, j], whole[j, :, i] = block, block.T
+
+    def diagonal(part: slice) -> None:
+        every = np.arange(m)[part]
+        for i, block in zip(every, _shifted(own[part] + data(every, every)), strict=True):
+            whole[i, :, i] = block
+
+    map_blocks(coupled, len(rows), _PAIRS_PER_BLOCK, threads)
+    map_blocks(diagonal, m, _SHAPES_PER_BLOCK, threads)
+    factor = scipy.linalg.cho_factor(whole.reshape(m * n, m * n), lower=True, overwrite_a=True, check_finite=False)
+    return lambda vector: np.asarray(scipy.linalg.cho_solve(factor, vector, check_finite=False))
+
+
+def _by_iteration(
+    space: Reparameterization,
+    coupling: Floats,
+    weights: Floats,
+    tangents: tuple[Floats, ...],
+    own: Floats,
+    threads: int,
+) -> Callable[[Floats], Floats]:
+    """Apply the matrix instead of assembling it, on every k-th landmark and in single precision, which is precise enough here.
+
+    The iteration is preconditioned as if all shapes had the same tangents and the same own block: the eigenvectors of ``c`` then
+    part the matrix into one block per mode.
+    """
+    m, n = own.shape[:2]
+    n_d = space.n_directions
+    free = np.flatnonzero(space.free.ravel())
+    strides = [
+        max(1, len(u) // (_NODES_PER_SPAN * d.n_spans)) for u, d in zip(space.nodes, space.directions, strict=True)
+    ]
+    kept = np.arange(len(weights)).reshape(space.grid)[tuple(slice(None, None, s) for s in strides)].ravel()
+    coarse = space.at(tuple(u[::s] for u, s in zip(space.nodes, strides, strict=True)))
+    weights = weights[kept] * (weights.sum() / weights[kept].sum())
+    tangents = tuple(t[:, kept] for t in tangents)
+
+    metric = _metric(tangents, tangents)
+    mean_data = coarse.normal_blocks(metric.mean(axis=0) * weights[:, None, None])[free[:, None], free]
+    strength, modes = np.linalg.eigh(coupling)
+    strength = np.maximum(strength, 1e-12 * strength[-1])
+    inverses = np.linalg.inv(_shifted(strength[:, None, None] * mean_data + own.mean(axis=0))).astype(np.float32)
+    modes = modes.astype(np.float32)
+
+    moves = [(np.ascontiguousarray(np.swapaxes(t, 1, 2)) * np.sqrt(weights)).astype(np.float32) for t in tangents]
+    components = [np.flatnonzero(free % n_d == c) for c in range(n_d)]
+    basis = coarse.rows_at(coarse.evaluate(coarse.identity()[None])[0])
+    bases = [basis[:, free[c] // n_d].astype(np.float32) for c in components]
+    diagonal = np.trace(own, axis1=1, axis2=2) + np.diagonal(coupling) * np.trace(mean_data)
+    blocks = (own + (1e-8 / n * diagonal)[:, None, None] * np.eye(n)).astype(np.float32)
+    pull = coupling.astype(np.float32)
+
+    def separate(residual: Singles) -> Singles:
+        return np.asarray(modes @ (inverses @ (modes.T @ residual)[..., None])[..., 0])
+
+    def product(vector: Singles) -> Singles:
+        parts = zip(moves, components, bases, strict=True)
+        moved = sum(t * (vector[:, c] @ b.T)[:, None] for t, c, b in parts)
+        force = (pull @ np.reshape(moved, (m, -1))).reshape(np.shape(moved))
+        out = (blocks @ vector[..., None])[..., 0]
+        for t, c, b in zip(moves, components, bases, strict=True):
+            out[:, c] += (t * force).sum(axis=1) @ b
+        return np.asarray(out)
+
+    def solve(vector: Floats) -> Floats:
+        scale = float(np.linalg.norm(vector))
+        if scale == 0.0:
+            return vector
+        residual: Singles = (vector / scale).astype(np.float32).reshape(m, n)
+        solution = np.zeros_like(residual)
+        search = z = separate(residual)
+        product_rz = start = float(np.vdot(residual, z))
+        for _ in range(_MOST_PRODUCTS):
+            curved = product(search)
+            curvature = float(np.vdot(search, curved))
+            if curvature <= 0.0:
+                break
+            step = np.float32(product_rz / curvature)
+            solution += step * search
+            residual = residual - step * curved
+            z = separate(residual)
+            previous, product_rz = product_rz, float(np.vdot(residual, z))
+            if product_rz <= _RESIDUAL**2 * start:
+                break
+            search = z + np.float32(product_rz / previous) * search
+        return np.asarray(scale * solution.ravel(), dtype=np.float64)
+
+    return solve
