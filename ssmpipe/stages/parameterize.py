@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from ssmpipe.contract import Context, Landmarks, Port, Stage, StageConfig
 from ssmpipe.core.arrays import Floats
-from ssmpipe.core.errors import LandmarkError
+from ssmpipe.core.errors import LandmarkError, TopologyError
 from ssmpipe.core.mesh.topology import euler_characteristic
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.parameterize.boundary import (
@@ -24,7 +24,10 @@ from ssmpipe.core.parameterize.boundary import (
 from ssmpipe.core.parameterize.cone import parameterize_poles
 from ssmpipe.core.parameterize.distortion import folded
 from ssmpipe.core.parameterize.poles import apex_of, ends_of
+from ssmpipe.core.parameterize.seam import Seam
 from ssmpipe.core.parameterize.stretch import parameterize_square
+from ssmpipe.core.parameterize.tube import parameterize_tube
+from ssmpipe.core.result import Result
 
 ROLES = ("corner_1", "corner_2", "corner_3", "corner_4")
 POLE_ROLES = ("apex", "antapex", "seam")
@@ -35,12 +38,19 @@ class Config(StageConfig):
     """Options of parameterize."""
 
     topology: Annotated[
-        Literal["disk", "cone", "closed"],
+        Literal["auto", "disk", "tube", "cone", "closed"],
         Field(
-            description="What the surface is. disk: one rim, laid around the square; cone: one rim (v = 0) and an apex (v = 1), periodic "
+            description="What the surface is. auto: a tube where it was cut open, else a disk; disk: one rim, laid around the square; "
+            "tube: cut open, rims at v = 0 and v = 1 by arc length, periodic in u; cone: one rim (v = 0) and an apex (v = 1), periodic "
             "in u; closed: two poles, periodic in u."
         ),
-    ] = "disk"
+    ] = "auto"
+    seam: Annotated[
+        Literal["periodic", "straight"],
+        Field(
+            description="Cut of a tube in the square. periodic: where the map is smooth across it; straight: u = 0, by arc length."
+        ),
+    ] = "periodic"
     corner_angles_deg: Annotated[
         tuple[float, float, float, float],
         Field(
@@ -93,25 +103,63 @@ class Config(StageConfig):
         return self
 
 
-def run(mesh: TriMesh, landmarks: Landmarks | None = None, *, cfg: Config, ctx: Context) -> dict[str, Any]:
-    """Parameterize one shape by its corners or by its poles."""
-    if cfg.topology == "disk":
+def run(
+    mesh: TriMesh, landmarks: Landmarks | None = None, seam: Seam | None = None, *, cfg: Config, ctx: Context
+) -> dict[str, Any]:
+    """Parameterize one shape by its corners, its seam or its poles."""
+    topology = cfg.topology
+    if topology == "auto":
+        topology = "disk" if seam is None else seam.topology
+    ctx.metric("topology", topology)
+    if topology == "disk":
         return _square(mesh, landmarks, cfg, ctx)
-    return _poles(mesh, landmarks if landmarks is not None else Landmarks(), cfg, ctx)
+    if topology == "tube":
+        if seam is None or seam.topology != "tube":
+            raise TopologyError(
+                "a tube must be cut open before it is parameterized", "put the stage cut before parameterize"
+            )
+        return _tube(mesh, seam, cfg, ctx)
+    return _poles(mesh, landmarks if landmarks is not None else Landmarks(), topology, cfg, ctx)
 
 
-def _poles(mesh: TriMesh, marks: Landmarks, cfg: Config, ctx: Context) -> dict[str, Any]:
+def _tube(mesh: TriMesh, seam: Seam, cfg: Config, ctx: Context) -> dict[str, Any]:
+    """See :func:`ssmpipe.core.parameterize.tube.parameterize_tube`."""
+    if cfg.seam == "straight":
+        mesh = split_chords(mesh)
+    result = parameterize_tube(
+        mesh, seam, sides=cfg.seam, weighting=cfg.weighting, eta=cfg.eta, max_iterations=cfg.max_iterations
+    )
+    _report(result, mesh, cfg, ctx)
+    return {"mesh": mesh, "uv": result.value, "seam": seam}
+
+
+def _report(result: Result[Floats], mesh: TriMesh, cfg: Config, ctx: Context) -> None:
+    stretch = result.history["stretch"]
+    ctx.metric("stretch_before", float(stretch[0]))
+    ctx.metric("stretch", float(stretch[-1]))
+    ctx.metric("n_iterations", result.n_iterations)
+    ctx.metric("n_flips", int(folded(result.value, mesh.faces).sum()))
+    ctx.metric("n_vertices", mesh.n_vertices)
+    ctx.metric("n_faces", mesh.n_faces)
+    ctx.metric("euler_characteristic", euler_characteristic(mesh.faces))
+    if result.status == "out-of-iterations" and cfg.max_iterations > 0:
+        ctx.warn(f"stretch still fell after {result.n_iterations} iterations; raise parameterize.max_iterations")
+
+
+def _poles(
+    mesh: TriMesh, marks: Landmarks, topology: Literal["cone", "closed"], cfg: Config, ctx: Context
+) -> dict[str, Any]:
     """See :func:`ssmpipe.core.parameterize.cone.parameterize_poles`."""
     apex, seam_point = marks.role("apex"), marks.role("seam")
-    antapex = marks.role("antapex") if cfg.topology == "closed" else None
+    antapex = marks.role("antapex") if topology == "closed" else None
     ctx.metric("apex_from", "geometry" if apex is None else "landmark")
     ctx.metric("seam_from", "direction" if seam_point is None else "landmark")
-    if cfg.topology == "closed" and (apex is None) != (antapex is None):
+    if topology == "closed" and (apex is None) != (antapex is None):
         raise LandmarkError(
             f"a closed surface needs both poles; missing: {'apex' if apex is None else 'antapex'}",
             "assign the missing one in input.roles, or none of the two to let geometry decide",
         )
-    if apex is None and cfg.topology == "cone":
+    if apex is None and topology == "cone":
         apex = apex_of(mesh)
     elif apex is None:
         antapex, apex, factor, cosine = ends_of(mesh, np.array(cfg.pole_direction))
@@ -169,19 +217,10 @@ def _square(mesh: TriMesh, landmarks: Landmarks | None, cfg: Config, ctx: Contex
         eta=cfg.eta,
         max_iterations=cfg.max_iterations,
     )
-    stretch = result.history["stretch"]
-    ctx.metric("stretch_before", float(stretch[0]))
-    ctx.metric("stretch", float(stretch[-1]))
-    ctx.metric("n_iterations", result.n_iterations)
-    ctx.metric("n_flips", int(folded(result.value, disk.faces).sum()))
+    _report(result, disk, cfg, ctx)
     ctx.metric("corners_from", source)
-    ctx.metric("n_vertices", disk.n_vertices)
-    ctx.metric("n_faces", disk.n_faces)
-    ctx.metric("euler_characteristic", euler_characteristic(disk.faces))
     if source == "landmarks":
         ctx.metric("corner_distance_max_mm", float(away.max()))
-    if result.status == "out-of-iterations" and cfg.max_iterations > 0:
-        ctx.warn(f"stretch still fell after {result.n_iterations} iterations; raise parameterize.max_iterations")
     return {"mesh": disk, "uv": result.value, "seam": None}
 
 
@@ -218,7 +257,11 @@ STAGE = Stage(
     version=2,
     config=Config,
     run=run,
-    inputs=(Port("mesh", "trimesh"), Port("landmarks", "landmarks", optional=True)),
+    inputs=(
+        Port("mesh", "trimesh"),
+        Port("landmarks", "landmarks", optional=True),
+        Port("seam", "seam", optional=True),
+    ),
     outputs=(Port("mesh", "trimesh"), Port("uv", "uv"), Port("seam", "seam", optional=True)),
     methods="Surfaces were mapped to the unit square ({weighting} weights, boundary by arc length between four corners) and their "
     "stretch was minimized.",

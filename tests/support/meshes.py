@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ssmpipe.core.align.rigid import homogeneous
+from ssmpipe.core.mesh.primitives import tube
 from ssmpipe.core.mesh.trimesh import TriMesh
 
 
@@ -48,3 +49,28 @@ def box(low: tuple[float, float, float], size: float = 1.0) -> TriMesh:
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
     return TriMesh(np.array(low) + size * corners, np.array(faces))
+
+
+def bent_tube(n_around: int = 32, n_along: int = 41, *, turn: float = 2.0, bump: float = 0.4, seed: int = 0) -> TriMesh:
+    """Return a tube around an arc in the plane y = 0, radius 4 to 3 mm, with a bump; inner vertices jittered."""
+    rng = np.random.default_rng(seed)
+    mesh = tube(1.0, 1.0, n_around, n_along)
+    angle, t = np.arctan2(mesh.vertices[:, 1], mesh.vertices[:, 0]), mesh.vertices[:, 2].copy()
+    inside = (t > 0) & (t < 1)
+    angle[inside] += rng.uniform(-0.3, 0.3, inside.sum()) * 2 * np.pi / n_around
+    t[inside] += rng.uniform(-0.3, 0.3, inside.sum()) / n_along
+    radius = 4.0 - t + bump * np.exp(-((np.cos(angle) - 1.0) ** 2) / 0.5 - (t - 0.4) ** 2 / 0.02)
+    around = 15.0 + radius * np.cos(angle)
+    points = np.column_stack([around * np.cos(turn * t), radius * np.sin(angle), around * np.sin(turn * t)])
+    return outward(TriMesh(points, mesh.faces))
+
+
+def outward(mesh: TriMesh) -> TriMesh:
+    """Turn the faces of a bent tube around if they look inwards."""
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    center = (a + b + c) / 3
+    along = np.arctan2(center[:, 2], center[:, 0])
+    axis = 15.0 * np.column_stack([np.cos(along), np.zeros(len(along)), np.sin(along)])
+    inwards = np.einsum("ij,ij->i", normal, center - axis).sum() < 0
+    return TriMesh(mesh.vertices, mesh.faces[:, ::-1] if inwards else mesh.faces)
