@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from ssmpipe.contract import Context, Landmarks, Port, Stage, StageConfig
 from ssmpipe.core.arrays import Floats
-from ssmpipe.core.errors import LandmarkError, TopologyError
+from ssmpipe.core.errors import ConfigError, LandmarkError, TopologyError
 from ssmpipe.core.mesh.topology import euler_characteristic
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.parameterize.boundary import (
@@ -25,6 +25,7 @@ from ssmpipe.core.parameterize.cone import parameterize_poles
 from ssmpipe.core.parameterize.distortion import folded
 from ssmpipe.core.parameterize.poles import apex_of, ends_of
 from ssmpipe.core.parameterize.seam import Seam
+from ssmpipe.core.parameterize.slim import parameterize_slim
 from ssmpipe.core.parameterize.stretch import parameterize_square
 from ssmpipe.core.parameterize.tube import parameterize_tube
 from ssmpipe.core.result import Result
@@ -51,6 +52,13 @@ class Config(StageConfig):
             description="Cut of a tube in the square. periodic: where the map is smooth across it; straight: u = 0, by arc length."
         ),
     ] = "periodic"
+    method: Annotated[
+        Literal["mean-value-stretch", "slim"],
+        Field(
+            description="How a disk is relaxed. mean-value-stretch: averages weighted by the stretch of the neighbours; slim: least "
+            "symmetric Dirichlet energy, which punishes shrinking as well."
+        ),
+    ] = "mean-value-stretch"
     corner_angles_deg: Annotated[
         tuple[float, float, float, float],
         Field(
@@ -100,6 +108,8 @@ class Config(StageConfig):
             raise ValueError("seam_direction and pole_direction must not be zero vectors")
         if 0 < self.n_remap < 4:
             raise ValueError("n_remap must be 0 or at least 4")
+        if self.method == "slim" and self.topology not in ("auto", "disk"):
+            raise ValueError(f"method: slim is for topology: disk, not for {self.topology}")
         return self
 
 
@@ -110,6 +120,10 @@ def run(
     topology = cfg.topology
     if topology == "auto":
         topology = "disk" if seam is None else seam.topology
+    if cfg.method == "slim" and topology != "disk":
+        raise ConfigError(
+            f"parameterize.method: slim is for a disk, this is a {topology}", "method: mean-value-stretch"
+        )
     ctx.metric("topology", topology)
     if topology == "disk":
         return _square(mesh, landmarks, cfg, ctx)
@@ -210,13 +224,13 @@ def _square(mesh: TriMesh, landmarks: Landmarks | None, cfg: Config, ctx: Contex
     wanted, source = _wanted_corners(mesh, landmarks, cfg, ctx)
     with_corners, corners, away = insert_corners(mesh, wanted)
     disk = split_chords(with_corners)
-    result = parameterize_square(
-        disk,
-        order_corners(rim_of(disk), corners),
-        weighting=cfg.weighting,
-        eta=cfg.eta,
-        max_iterations=cfg.max_iterations,
-    )
+    ordered = order_corners(rim_of(disk), corners)
+    if cfg.method == "slim":
+        result = parameterize_slim(disk, ordered, weighting=cfg.weighting, max_iterations=cfg.max_iterations)
+    else:
+        result = parameterize_square(
+            disk, ordered, weighting=cfg.weighting, eta=cfg.eta, max_iterations=cfg.max_iterations
+        )
     _report(result, disk, cfg, ctx)
     ctx.metric("corners_from", source)
     if source == "landmarks":

@@ -7,8 +7,9 @@ import pytest
 from pydantic import ValidationError
 
 from ssmpipe.contract import Context, Landmarks
-from ssmpipe.core.errors import LandmarkError
+from ssmpipe.core.errors import ConfigError, LandmarkError
 from ssmpipe.core.mesh.primitives import sphere, star_shape
+from ssmpipe.core.parameterize.seam import Seam
 from ssmpipe.core.repair.trimming import trim
 from ssmpipe.stages import fit, parameterize, sample
 from tests.support.meshes import noisy
@@ -74,6 +75,14 @@ def test_options_change_what_they_say():
     down, _ = go(parameterize, {"topology": "closed", "pole_direction": (0.0, 0.0, -1.0)}, mesh=lump)
     ends = [m["mesh"].vertices[list(m["seam"].poles)] for m in (up, down)]
     assert ends[0] == pytest.approx(ends[1][::-1])
+    disk = trim(star_shape(3), 35.0 * Z, Z)
+    squares = [go(parameterize, {"method": method}, mesh=disk)[0] for method in ("mean-value-stretch", "slim")]
+    assert not np.allclose(*(m["uv"] for m in squares))
+    assert squares[0]["seam"] is None
+    with pytest.raises(ConfigError, match="slim is for a disk, this is a tube"):
+        go(parameterize, {"method": "slim"}, mesh=disk, seam=Seam("tube", np.array([[0, 1]])))
+    with pytest.raises(ValidationError, match="slim is for topology: disk, not for cone"):
+        parameterize.Config(method="slim", topology="cone")
     with pytest.raises(ValidationError, match="must not be zero"):
         parameterize.Config(seam_direction=(0.0, 0.0, 0.0))
     with pytest.raises(ValidationError, match="at least 4"):

@@ -50,7 +50,7 @@ def parameterize_square(
     rim, rim_uv = square_boundary(mesh, corners)
     weights = neighbour_weights(mesh, weighting)
     uv = solve_averages(weights, rim, rim_uv)
-    _refuse_folds(mesh, uv, weighting)
+    refuse_folds(mesh, uv, weighting)
     history = [global_stretch(mesh, uv)]
     status: Status = "out-of-iterations"
     for _ in range(max_iterations):
@@ -65,7 +65,8 @@ def parameterize_square(
     return Result(uv, status, len(history) - 1, len(history), {"stretch": np.array(history)})
 
 
-def _refuse_folds(mesh: TriMesh, uv: Floats, weighting: Weighting) -> None:
+def refuse_folds(mesh: TriMesh, uv: Floats, weighting: Weighting) -> None:
+    """Raise a FoldoverError that says where the first triangle is that is turned over in the square."""
     bad = np.flatnonzero(folded(uv, mesh.faces))
     if len(bad) == 0:
         return
