@@ -139,6 +139,12 @@ def visible(ring: Floats, n_hand: int) -> Floats:
     return np.concatenate([ends[0][::-1], ring[:n_hand], ends[1]])
 
 
+def _leaves_below(ring: Floats, n_hand: int) -> bool:
+    """Whether the arm leaves the picture through its lower edge, away from the corners."""
+    ends = visible(ring, n_hand)[[0, -1], 0]
+    return bool(ends.min() > 10 and ends.max() < WIDTH - 11)
+
+
 def write_cohort(out_dir: Path, n: int = 40, seed: int = 0) -> None:
     """Write the photographs and the truth about them; the same seed gives the same bytes.
 
@@ -163,6 +169,9 @@ def write_cohort(out_dir: Path, n: int = 40, seed: int = 0) -> None:
         hand, score = random_hand(rng)
         place = _place(hand, rng)
         ring = with_arm(hand) @ place[:, :2].T + place[:, 2]
+        while not _leaves_below(ring, len(hand)):
+            place = _place(hand, rng)
+            ring = with_arm(hand) @ place[:, :2].T + place[:, 2]
         skin = _SKIN[rng.integers(len(_SKIN))] * rng.uniform(0.95, 1.05, size=3)
         cloths = _CLOTH[np.linalg.norm(_CLOTH - skin, axis=1) > 0.25]
         cloth = cloths[rng.integers(len(cloths))] * rng.uniform(0.95, 1.05, size=3)

@@ -24,6 +24,7 @@ Two halves of one normal distribution are 2.7 apart, of an even one 3.5: below 4
 
 _ROUNDS = 6
 _EDGE = 3  # pixels on both sides of the edge that belong to neither class while classes are learned
+_DEEP = 10  # pixels from the edge beyond which no edge is looked for, as in narrow valleys that were taken for object
 _LOCAL = 4.0  # pixels over which the two levels beside the edge are averaged
 _ROUND = 0.003  # share of the contrast that is taken for noise in all colours, so that faint colours are not overrated
 _OTHER_SHARE = 0.05  # of the largest object's area; what is smaller counts as background
@@ -283,7 +284,7 @@ def _traced(values: Floats, region: Bools, factor: int, method: str, separation:
     """Follow the edge of the region where colours are halfway between those on both sides of it."""
     height, width = region.shape
     halfway = values[..., 0] - 0.5 if method == "mask" else _halfway(values, region)
-    halfway = np.where(ndimage.binary_erosion(region, iterations=_EDGE, border_value=1), 1.0, halfway)
+    halfway = np.where(ndimage.binary_erosion(region, iterations=_DEEP, border_value=1), 1.0, halfway)
     halfway = np.where(_grown(region, _EDGE), halfway, -1.0)
     lines = [np.asarray(line) for line in contour_generator(z=np.pad(halfway, 1, constant_values=-1.0)).lines(0.0)]
     longest = lines[int(np.argmax([len(line) for line in lines]))] if lines else np.zeros((0, 2))
