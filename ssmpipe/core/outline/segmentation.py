@@ -132,8 +132,8 @@ def find_outline(picture: Picture, method: Method = "auto", *, longest_side: int
     refusals = []
     for way in ways:
         try:
-            seed = _skin_seed(smooth) if way == "skin" else _silhouette_seed(smooth)
-            region, separation, other = _separate(smooth, seed)
+            seeds = [_skin_seed(smooth)] if way == "skin" else _silhouette_seeds(smooth)
+            region, separation, other = _best(smooth, seeds)
             return _traced(smooth, region, factor, way, separation, other)
         except GeometryError as error:
             refusals.append(error)
@@ -212,8 +212,11 @@ def _skin_seed(colors: Floats) -> Bools:
     return np.asarray(seed)
 
 
-def _silhouette_seed(colors: Floats) -> Bools:
-    """Return pixels whose colour is far from a plane through the colours at the picture's edge, objects there left out."""
+def _silhouette_seeds(colors: Floats) -> list[Bools]:
+    """Return pixels whose colour is far from a plane through the colours at the picture's edge, objects there left out.
+
+    The second guess leaves out the difference in brightness, so that shadows are background; it needs colours.
+    """
     y, x = np.mgrid[: colors.shape[0], : colors.shape[1]]
     plane = np.stack([np.ones(colors.shape[:2]), x / colors.shape[1] - 0.5, y / colors.shape[0] - 0.5], axis=-1)
     rim, terms = _rim(colors), _rim(plane)
@@ -222,8 +225,26 @@ def _silhouette_seed(colors: Floats) -> Bools:
         keep = distance <= np.quantile(distance, 0.65)
         coefficients = np.linalg.lstsq(terms[keep], rim[keep], rcond=None)[0]
         distance = np.linalg.norm(rim - terms @ coefficients, axis=1)
-    away = np.linalg.norm(colors - plane @ coefficients, axis=2)
-    return np.asarray(away > _otsu(away.ravel()))
+    ground = plane @ coefficients
+    rest = colors - ground
+    distances = [np.linalg.norm(rest, axis=2)]
+    if colors.shape[2] == 3:
+        bright = ground / np.maximum(np.linalg.norm(ground, axis=2, keepdims=True), 1e-6)
+        distances.append(np.linalg.norm(rest - (rest * bright).sum(axis=2, keepdims=True) * bright, axis=2))
+    return [np.asarray(away > _otsu(away.ravel())) for away in distances]
+
+
+def _best(colors: Floats, seeds: list[Bools]) -> tuple[Bools, float, float]:
+    """Improve every guess and return the object that stands out most; refuse like the first one when none does."""
+    results, refusals = [], []
+    for seed in seeds:
+        try:
+            results.append(_separate(colors, seed))
+        except GeometryError as error:
+            refusals.append(error)
+    if not results:
+        raise refusals[0]
+    return max(results, key=lambda result: result[1])
 
 
 def _separate(colors: Floats, seed: Bools) -> tuple[Bools, float, float]:
