@@ -205,6 +205,10 @@ def _poles(
     ctx.metric("n_flips", 0)
     ctx.metric("n_flips_harmonic", found.n_folds_harmonic)
     ctx.metric("pole_ring_percent", [float(100.0 * r) for r in found.ring])
+    if ctx.metrics["apex_from"] == "landmark":
+        wanted = [p for p in (antapex, apex) if p is not None]
+        made = found.mesh.vertices[list(found.seam.poles)]
+        ctx.metric("pole_distance_max_mm", float(np.linalg.norm(made - wanted, axis=1).max()))
     ctx.metric("apex_mm", [float(x) for x in found.mesh.vertices[found.seam.poles[-1]]])
     ctx.metric("n_vertices", found.mesh.n_vertices)
     ctx.metric("n_faces", found.mesh.n_faces)

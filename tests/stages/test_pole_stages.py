@@ -53,6 +53,7 @@ def test_landmarks_place_poles_and_seam():
     roles = {"apex": "top", "antapex": "bottom", "seam": "side"}
     made, ctx = go(parameterize, {"topology": "closed"}, mesh=lump, landmarks=Landmarks(points, roles))
     assert (ctx.metrics["apex_from"], ctx.metrics["seam_from"]) == ("landmark", "landmark")
+    assert ctx.metrics["pole_distance_max_mm"] == pytest.approx(0.0, abs=1e-9)
     poles = made["mesh"].vertices[list(made["seam"].poles)]
     assert poles == pytest.approx(np.array([points["bottom"], points["top"]]))
     samples, _ = go(sample, {"grid": (60, 200)}, **made)
