@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
 from typing import TypeVar
 
@@ -29,10 +29,25 @@ def map_blocks(function: Callable[[slice], T], n: int, size: int, threads: int =
     slices = [slice(start, min(start + size, n)) for start in range(0, n, size)]
     if threads <= 1 or len(slices) <= 1:
         return [function(s) for s in slices]
-    return list(_pool(threads).map(function, slices))
+    out: dict[int, T] = {}
+    left = iter(enumerate(slices))
+
+    def work() -> None:
+        for k, s in left:
+            out[k] = function(s)
+
+    # the calling thread works too, and the others are woken once each: a wake costs as much as a small block
+    helpers = [_pool(threads).submit(work) for _ in range(threads - 1)]
+    try:
+        work()
+    finally:
+        wait(helpers)
+    for helper in helpers:
+        helper.result()
+    return [out[k] for k in range(len(slices))]
 
 
 @cache
 def _pool(threads: int) -> ThreadPoolExecutor:
     # kept: new threads come with new memory, whose first touch costs more than the work of a block
-    return ThreadPoolExecutor(threads)
+    return ThreadPoolExecutor(threads - 1)

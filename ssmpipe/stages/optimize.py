@@ -221,6 +221,7 @@ def run(
         ("lambda_cut_mm2", optimum.lambda_cut),
         ("n_iterations", result.n_iterations),
         ("n_evaluations", result.n_evaluations),
+        ("evaluator", optimum.evaluator),
         ("smallest_jacobian_bound", min(c.lower_bound for c in optimum.certificates)),
         ("reference", ids[optimum.reference] if optimum.reference >= 0 else "none"),
         ("boundary", options.boundary),

@@ -11,6 +11,7 @@ from ssmpipe.contract import Context, Landmarks, ShapeInfo
 from ssmpipe.core.errors import ConfigError
 from ssmpipe.core.mesh.operators import volume
 from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.core.spline.evaluate import SplineStack
 from ssmpipe.core.spline.surface import BSplineSurface
 from ssmpipe.stages import evaluate, model, optimize
 from tests.core.correspondence.test_options import closed_curve
@@ -89,6 +90,7 @@ def test_tubes_close_and_curves_have_no_faces():
         tubes[f"t{k}"] = BSplineSurface(fitted.degree, fitted.knots_u, fitted.knots_v, control)
     out, ctx = run(tubes, {i: np.eye(4) for i in tubes})
     assert ctx.metrics["boundary"] == "periodic"
+    assert ctx.metrics["evaluator"] == SplineStack(list(tubes.values())).evaluator
     c = out["correspondence"]
     assert c.topology == "tube"
     assert len(c.faces) == 2 * 15 * 14

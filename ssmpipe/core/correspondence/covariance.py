@@ -14,7 +14,6 @@ from ssmpipe.core.correspondence.spectral import SpectralFunction
 
 CHOLESKY_FROM = 200
 """Number of shapes from which the log-determinant is computed without eigenvalues."""
-LANDMARKS_PER_BLOCK = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +59,11 @@ class Spectrum:
         return scipy.linalg.cho_factor(shifted, lower=True, check_finite=False)
 
 
+def landmarks_per_block(n_shapes: int) -> int:
+    """Return how many landmarks of all shapes are worked on at once: few enough for the cache, many enough for numpy."""
+    return max(256, 16384 // n_shapes)
+
+
 def centre(points: Floats, threads: int = 1, out: Floats | None = None) -> Floats:
     """Return (n_S, n_P, d) points minus their mean over the shapes, in the memory of ``out`` where given."""
     if out is None:
@@ -69,7 +73,7 @@ def centre(points: Floats, threads: int = 1, out: Floats | None = None) -> Float
         part = points[:, block]
         np.subtract(part, part.mean(axis=0), out=out[:, block])
 
-    map_blocks(one, points.shape[1], LANDMARKS_PER_BLOCK, threads)
+    map_blocks(one, points.shape[1], landmarks_per_block(len(points)), threads)
     return out
 
 
@@ -93,7 +97,7 @@ def spectrum(centred: Floats, weights: Floats, threads: int = 1) -> Spectrum:
         return np.asarray(flat @ flat.T)
 
     gram = np.zeros((n_shapes, n_shapes))
-    for part in map_blocks(one, centred.shape[1], LANDMARKS_PER_BLOCK, threads):
+    for part in map_blocks(one, centred.shape[1], landmarks_per_block(n_shapes), threads):
         gram += part
     return Spectrum(gram)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
@@ -13,9 +14,9 @@ from ssmpipe.core.arrays import Floats
 from ssmpipe.core.blocks import map_blocks
 from ssmpipe.core.correspondence.barrier import Barrier
 from ssmpipe.core.correspondence.covariance import (
-    LANDMARKS_PER_BLOCK,
     Spectrum,
     centre,
+    landmarks_per_block,
     spectral_adjoint,
     spectrum,
     weight_adjoint,
@@ -41,6 +42,7 @@ class Evaluation:
     """What one evaluation of the cohort knows: kept for the gradient, the preconditioner and the records."""
 
     space: Reparameterization
+    parameters: Floats
     jet: Jet
     points: Floats
     centred: Floats
@@ -151,6 +153,7 @@ class GroupObjective:
         if interpolate and guides is not None:
             self._interpolation = Interpolation(guides, self._free, self.moving)
         self._multipliers: Floats | None = None
+        self._d_parameters = np.empty(0)
 
     # -- unknowns ------------------------------------------------------------------------------------------------------
 
@@ -198,10 +201,16 @@ class GroupObjective:
         if self.rule is not None:
             nodes, weights = self.rule(coefficients)
             space = space.at((nodes,))
-        parameters = space.evaluate(coefficients)
         second = self.covariance == "II"
         old = self._last[1] if self._last is not None else None
         self._last = None
+        shape = (self.stack.n_shapes, math.prod(space.grid), space.n_directions)
+        parameters = old.parameters if old is not None and old.parameters.shape == shape else np.empty(shape)
+
+        def some(block: slice) -> None:
+            parameters[block] = space.evaluate(coefficients[block])
+
+        map_blocks(some, self.stack.n_shapes, _SHAPES_PER_BLOCK, self.stack.threads)
         jet = self.stack.evaluate(parameters, second=second, reuse=old.jet if old is not None else None)
         slopes: tuple[Floats, ...] = ()
         tangents: tuple[Floats, ...] = ()
@@ -220,7 +229,7 @@ class GroupObjective:
         fits = old is not None and old.centred.shape == points.shape
         centred = centre(points, self.stack.threads, old.centred if old is not None and fits else None)
         spec = spectrum(centred, weights, self.stack.threads)
-        evaluation = Evaluation(space, jet, points, centred, rotations, slopes, weights, tangents, spec)
+        evaluation = Evaluation(space, parameters, jet, points, centred, rotations, slopes, weights, tangents, spec)
         self._last = (key, evaluation)
         return evaluation
 
@@ -246,7 +255,9 @@ class GroupObjective:
             d_tangents = size_weights_adjoint(self._base, evaluation.mean_tangents, d_weights)
             through = self._through_tangents(evaluation, d_tangents)
 
-        d_parameters = np.empty((*jet.points.shape[:2], len(jet.first)))
+        if self._d_parameters.shape != evaluation.parameters.shape:
+            self._d_parameters = np.empty(evaluation.parameters.shape)
+        d_parameters = self._d_parameters
 
         def by_landmarks(block: slice) -> None:
             d_points = spectral_adjoint(centred, evaluation.weights, d_gram, block)
@@ -269,7 +280,7 @@ class GroupObjective:
 
         threads = self.stack.threads
         if self.target is None:
-            map_blocks(by_landmarks, centred.shape[1], LANDMARKS_PER_BLOCK, threads)
+            map_blocks(by_landmarks, centred.shape[1], landmarks_per_block(len(centred)), threads)
         blocks = map_blocks(by_shapes, self.stack.n_shapes, _SHAPES_PER_BLOCK, threads)
         gradient = np.concatenate(blocks)[moving][:, self._free].ravel()
         return evaluation.spectrum.value(self.spectral), gradient
@@ -386,7 +397,7 @@ class GroupObjective:
         n_d = space.n_directions
         jet = evaluation.jet
         if not jet.second:
-            jet = self.stack.evaluate(space.evaluate(coefficients), second=True)
+            jet = self.stack.evaluate(evaluation.parameters, second=True)
         # components before landmarks and roots of the weights inside: every pass below runs over contiguous memory
         root = np.sqrt(evaluation.weights * (2.0 / (n_shapes - 1)))
 

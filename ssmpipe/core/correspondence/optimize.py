@@ -158,6 +158,8 @@ class Optimum:
     certificates : tuple of Certificate
     guide_residuals : (n_S, n_K)
         Distance on the surface between a guide and where it is carried [mm]; NaN where a shape lacks it.
+    evaluator : {"numpy", "numba"}
+        Which one evaluated the splines; both give the same bits.
     """
 
     coefficients: Floats
@@ -172,6 +174,7 @@ class Optimum:
     reference: int
     certificates: tuple[Certificate, ...]
     guide_residuals: Floats = field(default_factory=lambda: np.empty((0, 0)))
+    evaluator: str = "numpy"
 
 
 def automatic_lambda_cut(size: float) -> float:
@@ -526,6 +529,7 @@ class _Cohort:
             reference=self.reference,
             certificates=tuple(certify(c, space) for c in coefficients),
             guide_residuals=self.guide_residuals(coefficients, space),
+            evaluator=self.raw.evaluator,
         )
 
 
