@@ -7,17 +7,21 @@ import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
 const PATTERNS = { none: 0, lines: 1, checker: 2 };
 
-/** Triangle corners as own vertices, so that a periodic grid needs no duplicated points. */
+/** Triangle corners as own vertices, so that a periodic grid needs no duplicated points; a pole lies between its neighbours. */
 function cornerGrid(model, topology) {
   const [n1, n2] = model.grid.length === 2 ? model.grid : [model.nPoints, 1];
   const periodic = topology === "tube" || topology === "cone" || topology === "closed";
   const out = new Float32Array(model.faces.length * 2);
   for (let t = 0; t < model.faces.length; t += 3) {
     const rows = [0, 1, 2].map((k) => Math.floor(model.faces[t + k] / n2));
+    const columns = [0, 1, 2].map((k) => model.faces[t + k] % n2);
+    const pole = columns.findIndex((c) => (topology === "closed" && c === 0) || (periodic && topology !== "tube" && c === n2 - 1));
+    if (pole >= 0) rows[pole] = rows[(pole + 1) % 3];
     if (periodic && Math.max(...rows) - Math.min(...rows) > n1 / 2) rows.forEach((r, k) => { if (r < n1 / 2) rows[k] = r + n1; });
+    if (pole >= 0) rows[pole] = (rows[(pole + 1) % 3] + rows[(pole + 2) % 3]) / 2;
     for (let k = 0; k < 3; k++) {
       out[2 * (t + k)] = rows[k];
-      out[2 * (t + k) + 1] = model.faces[t + k] % n2;
+      out[2 * (t + k) + 1] = columns[k];
     }
   }
   return out;
