@@ -8,12 +8,15 @@ import numpy as np
 from pydantic import Field
 
 from ssmpipe.contract import Context, Landmarks, Port, ShapeInfo, Stage, StageConfig
+from ssmpipe.core.align.box import box_frame
 from ssmpipe.core.align.frames import femur_distal_frame, landmark_frame, place_axes, principal_frame
+from ssmpipe.core.align.proximal_femur import femur_proximal_frame
 from ssmpipe.core.align.rigid import move, reflection
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.errors import LandmarkError
 from ssmpipe.core.mesh.trimesh import TriMesh
 
+_FRAMES = {"principal": principal_frame, "femur-proximal": femur_proximal_frame, "box": box_frame}
 ROLES = ("lateral", "medial", "proximal")
 
 
@@ -25,10 +28,11 @@ class Config(StageConfig):
         Field(description="Side that is mirrored to the other, by the side column of the cohort table."),
     ] = "left"
     frame: Annotated[
-        Literal["femur-distal", "principal", "none"],
+        Literal["femur-distal", "femur-proximal", "principal", "box", "none"],
         Field(
             description="Canonical frame: x lateral, y anterior, z up the shaft of a right femur (from geometry, or from "
-            "landmarks with the roles lateral, medial, proximal); principal axes; or the scanner's."
+            "landmarks with the roles lateral, medial, proximal); of its upper end (z up the shaft below the lesser trochanter, x away "
+            "from the head; whole bones and upper halves); principal axes; the sides of the smallest box; or the scanner's."
         ),
     ] = "femur-distal"
 
@@ -49,8 +53,8 @@ def run(
     if cfg.frame != "none":
         placed = move(mesh, matrix)
         axes = _axes_from_landmarks(marks.transformed(matrix)) if cfg.frame == "femur-distal" else None
-        if cfg.frame == "principal":
-            frame, source = principal_frame(placed), "geometry"
+        if cfg.frame in _FRAMES:
+            frame, source = _FRAMES[cfg.frame](placed), "geometry"
         elif axes is not None:
             frame, source = place_axes(placed, axes), "landmarks"
         else:

@@ -8,10 +8,12 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ssmpipe.contract import Context, Landmarks, Port, Stage, StageConfig
+from ssmpipe.core.align.proximal_femur import analyze_proximal_femur
 from ssmpipe.core.mesh.operators import area
 from ssmpipe.core.mesh.topology import boundary_loops, loop_length
 from ssmpipe.core.mesh.trimesh import TriMesh
-from ssmpipe.core.repair.trimming import height_by_width, trim
+from ssmpipe.core.repair.extension import trim_or_extend
+from ssmpipe.core.repair.trimming import height_by_width
 from ssmpipe.stages._trim_tube import ROLES, trim_both_ends
 
 Vector = tuple[float, float, float]
@@ -44,6 +46,25 @@ class Config(StageConfig):
     plane_point: Annotated[
         Vector | None, Field(description="A point of the cutting plane, in the current frame [mm].")
     ] = None
+    axis_fraction: Annotated[
+        float | None,
+        Field(
+            gt=0, lt=1, description="Height of the cut in extents of the shape along `up`, instead of `fraction` [-]."
+        ),
+    ] = None
+    find: Annotated[
+        Literal["width", "trochanter"],
+        Field(
+            description="What geometry looks for when no landmark has the role trim: a height in widths (`fraction`), or the lesser "
+            "trochanter of a femur, from which `offset_mm` counts as from a landmark."
+        ),
+    ] = "width"
+    offset_shafts: Annotated[
+        float,
+        Field(
+            description="Further shift along `up` from landmark or trochanter, in diameters of the shaft of a femur [-]."
+        ),
+    ] = 0.0
     snap: Annotated[
         float,
         Field(
@@ -82,6 +103,8 @@ class Config(StageConfig):
     def _consistent(self) -> Config:
         if self.distance_mm is not None and self.plane_point is not None:
             raise ValueError("give distance_mm or plane_point, not both")
+        if self.axis_fraction is not None and (self.distance_mm is not None or self.plane_point is not None):
+            raise ValueError("give axis_fraction, distance_mm or plane_point, not two of them")
         if not any(self.up) or not any(self.across):
             raise ValueError("up and across must not be zero vectors")
         if not 0 <= self.end_fractions[0] < self.end_fractions[1] <= 1:
@@ -112,11 +135,26 @@ def run(mesh: TriMesh, landmarks: Landmarks | None = None, *, cfg: Config, ctx: 
         height, source = lowest + cfg.distance_mm, "distance"
     elif mark is not None:
         height, source = float(mark @ up) + cfg.offset_mm, "landmark"
+        if cfg.offset_shafts:
+            height += cfg.offset_shafts * analyze_proximal_femur(mesh).diameter
+    elif cfg.axis_fraction is not None:
+        height, source = lowest + cfg.axis_fraction * float(np.ptp(mesh.vertices @ up)), "axis"
+    elif cfg.find == "trochanter":
+        found = analyze_proximal_femur(mesh)
+        height, source = float(found.trochanter @ up) + cfg.offset_mm + cfg.offset_shafts * found.diameter, "trochanter"
+        ctx.metric("shaft_diameter_mm", found.diameter)
+        ctx.metric("trochanter_bulge_mm", found.bulge)
     else:
         height, width = height_by_width(mesh.vertices, up, across, cfg.fraction)
         source = "width"
         ctx.metric("width_mm", width)
-    trimmed = trim(mesh, height * up, up, snap=cfg.snap)
+    trimmed, added = trim_or_extend(mesh, height * up, up, snap=cfg.snap, extend_mm=cfg.extend_mm)
+    if added > 0:
+        ctx.metric("added_mm", added)
+        ctx.warn(
+            f"the scan ended {added:.1f} mm before the cut and was continued by the curvature of its rim; what lies there was not "
+            "measured"
+        )
     ctx.metric("cut_by", source)
     ctx.metric("height_mm", height - lowest)
     ctx.metric("n_vertices", trimmed.n_vertices)

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from ssmpipe.contract import Context, Landmarks
-from ssmpipe.core.errors import LandmarkError
-from ssmpipe.core.mesh.primitives import tube
+from ssmpipe.contract import Context, Landmarks, ShapeInfo
+from ssmpipe.core.errors import LandmarkError, TopologyError
+from ssmpipe.core.mesh.primitives import sphere, tube
 from ssmpipe.core.mesh.topology import boundary_loops, euler_characteristic
 from ssmpipe.core.mesh.trimesh import TriMesh
-from ssmpipe.stages import trim
+from ssmpipe.stages import orient, trim
+from tests.support.femora import femur, landmark, needs_femora
 
 
 def go(mesh: TriMesh, points: dict[str, list[float]] | None = None, **options):
@@ -53,3 +54,44 @@ class TestTube:
     def test_fractions_must_rise(self):
         with pytest.raises(ValidationError, match="end_fractions must rise"):
             trim.Config(ends=2, end_fractions=(0.5, 0.5))
+
+
+class TestOneEnd:
+    def test_fraction_of_the_axis_and_a_continued_scan(self):
+        cap, ctx = go(sphere(20.0, 4), axis_fraction=0.4)
+        assert cap.vertices[:, 2].max() == pytest.approx(-4.0, abs=0.05)
+        assert ctx.metrics["cut_by"] == "axis"
+        longer, ctx = go(cap, plane_point=(0.0, 0.0, -2.0), extend_mm=3.0)
+        assert longer.vertices[:, 2].max() == pytest.approx(-2.0)
+        assert ctx.metrics["added_mm"] == pytest.approx(2.0, abs=0.05)
+        assert "continued by the curvature of its rim" in ctx.warnings[0]
+        with pytest.raises(TopologyError, match="scan ends"):
+            go(cap, plane_point=(0.0, 0.0, -2.0))
+        with pytest.raises(ValidationError, match="not two of them"):
+            trim.Config(axis_fraction=0.5, distance_mm=2.0)
+
+    @needs_femora
+    def test_below_the_lesser_trochanter_with_and_without_its_landmark(self):
+        shape_id = "z035_Femur_R"
+        bone, mark = femur(shape_id), landmark(shape_id, "LT")
+        ctx = Context("shape", np.random.default_rng(0), logging.getLogger("test"))
+        placed = orient.run(
+            bone,
+            np.eye(4),
+            ShapeInfo(shape_id, "R"),
+            Landmarks({"LT": mark}, {"trim": "LT"}),
+            cfg=orient.Config(frame="femur-proximal"),
+            ctx=ctx,
+        )
+        assert ctx.metrics["width_mm"] == pytest.approx(43.4, abs=1.0)
+        options = {"up": (0.0, 0.0, -1.0), "offset_mm": 20.0, "find": "trochanter"}
+        lowest = []
+        for marks in ({"trim": placed["landmarks"].points["LT"].tolist()}, None):
+            mesh, ctx = go(placed["mesh"], marks, **options)
+            assert ctx.metrics["cut_by"] == ("landmark" if marks else "trochanter")
+            assert euler_characteristic(mesh.faces) == 1
+            lowest.append(float(mesh.vertices[:, 2].min()))
+        assert lowest[0] == pytest.approx(placed["landmarks"].points["LT"][2] - 20.0)
+        assert lowest[1] == pytest.approx(lowest[0], abs=3.0)
+        mesh, ctx = go(placed["mesh"], **(options | {"offset_mm": 0.0, "offset_shafts": 1.0}))
+        assert float(mesh.vertices[:, 2].min()) == pytest.approx(lowest[1] + 20.0 - ctx.metrics["shaft_diameter_mm"])

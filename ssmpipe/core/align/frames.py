@@ -230,10 +230,10 @@ def _shaft_direction(mesh: TriMesh) -> Floats:
         low = section_areas(mesh, z, height.min() + at)[0].mean()
         high = section_areas(mesh, z, height.max() - at)[0].mean()
         return z if low > high else -z
-    return _cylinder_end(mesh)
+    return cylinder_end(mesh)
 
 
-def _cylinder_end(mesh: TriMesh, n_directions: int = 600) -> Floats:
+def cylinder_end(mesh: TriMesh, n_directions: int = 600) -> Floats:
     """Return the direction towards the end of a stump that is most like a cylinder (without its flat cut)."""
     vectors = face_vectors(mesh)
     area = np.linalg.norm(vectors, axis=1)

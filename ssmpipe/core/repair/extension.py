@@ -7,9 +7,10 @@ import numpy as np
 from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.errors import TopologyError
 from ssmpipe.core.mesh.distance import point_to_mesh
-from ssmpipe.core.mesh.operators import face_normals
-from ssmpipe.core.mesh.topology import loop_length
+from ssmpipe.core.mesh.operators import face_normals, mean_edge_length
+from ssmpipe.core.mesh.topology import boundary_loops, loop_length
 from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.core.repair.trimming import trim
 
 FIT_MM = 6.0
 """Length of the strip inside the rim whose course is continued [mm]."""
@@ -73,6 +74,33 @@ def extend(mesh: TriMesh, loop: Ints, direction: Floats, length: float, *, fit: 
     c, d = index[1:], np.roll(index, -1, axis=1)[1:]
     strip = np.vstack([np.column_stack([x.ravel() for x in t]) for t in ((b, a, c), (b, c, d))])
     return TriMesh(np.vstack([mesh.vertices, rings.reshape(-1, 3)]), np.vstack([mesh.faces, strip]))
+
+
+def trim_or_extend(
+    mesh: TriMesh, point: Floats, normal: Floats, *, snap: float = 0.1, extend_mm: float = 0.0
+) -> tuple[TriMesh, float]:
+    """Trim to a disk (see :func:`ssmpipe.core.repair.trimming.trim`); continue the scan first where it ends before the plane.
+
+    Returns
+    -------
+    mesh : TriMesh
+    added : float
+        By how much the scan was continued [mm]; zero if it reached the plane.
+
+    Raises
+    ------
+    TopologyError
+        If more than ``extend_mm`` are missing, and as ``trim``.
+    """
+    direction = np.asarray(normal, dtype=np.float64) / np.linalg.norm(normal)
+    loops = boundary_loops(mesh.faces)
+    missing = max((-float(((mesh.vertices[loop] - point) @ direction).min()) for loop in loops), default=0.0)
+    if len(loops) != 1 or not 0 < missing <= extend_mm:
+        return trim(mesh, point, direction, snap=snap), 0.0
+    step = mean_edge_length(mesh)
+    clean = trim(mesh, point - (missing + 0.2 * step) * direction, direction, snap=snap)
+    longer = extend(clean, boundary_loops(clean.faces)[0], direction, 1.5 * missing + 2.0 * step)
+    return trim(longer, point, direction, snap=snap), missing
 
 
 def _march_inward(
