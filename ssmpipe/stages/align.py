@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from dataclasses import replace
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from ssmpipe.contract import Context, Landmarks, NamesShape, Port, Stage, StageConfig
-from ssmpipe.core.align.icp import align, fits_better_mirrored
+from ssmpipe.core.align.icp import IcpResult, Region, align, align_mirrored, fits_better_mirrored
 from ssmpipe.core.align.medoid import medoid
-from ssmpipe.core.align.rigid import move, rotation_angle
+from ssmpipe.core.align.rigid import move, reflection, rotation_angle
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.errors import ConfigError
 from ssmpipe.core.mesh.distance import surface_deviation
@@ -39,6 +40,35 @@ class Config(StageConfig):
     check_mirror: Annotated[
         bool, Field(description="Warn when the mirror image fits clearly better (a wrong side label).")
     ] = True
+    chirality: Annotated[
+        Literal["keep", "best-fit"],
+        Field(
+            description="keep: shapes stay as orient gave them. best-fit: for left and right that are not labelled, a shape is mirrored "
+            "when its mirror image fits the reference better by `chirality_margin`."
+        ),
+    ] = "keep"
+    chirality_margin: Annotated[
+        float,
+        Field(
+            ge=0,
+            lt=1,
+            description="Share of the distance by which the better of both images must win; else a warning [-].",
+        ),
+    ] = 0.05
+    region: Annotated[
+        tuple[float, float] | None,
+        Field(
+            description="Part of the reference that counts, in fractions of its extent along `region_axis`, for shafts of different "
+            "length; all of it by default [-]."
+        ),
+    ] = None
+    region_axis: Annotated[Literal["x", "y", "z"], Field(description="Axis of the aligned frame for `region`.")] = "z"
+
+    @model_validator(mode="after")
+    def _region_rises(self) -> Config:
+        if self.region is not None and not 0 <= self.region[0] < self.region[1] <= 1:
+            raise ValueError("region must rise and lie between 0 and 1")
+        return self
 
 
 def prepare(inputs: dict[str, dict[str, Any]], *, cfg: Config, ctx: Context) -> dict[str, Any]:
@@ -66,7 +96,10 @@ def run(
 ) -> dict[str, Any]:
     """Align one shape; see :func:`ssmpipe.core.align.icp.align`."""
     marks = landmarks if landmarks is not None else Landmarks()
-    result = align(mesh, reference, margin=cfg.start_margin, n_points=cfg.n_points)
+    region = None if cfg.region is None else Region("xyz".index(cfg.region_axis), *cfg.region)
+    result = align(mesh, reference, margin=cfg.start_margin, n_points=cfg.n_points, region=region)
+    if cfg.chirality == "best-fit":
+        mesh, marks, transform, result = _better_image(mesh, marks, transform, reference, result, region, cfg, ctx)
     aligned = move(mesh, result.matrix)
     ctx.metric("rms_mm", surface_deviation(aligned, reference, n_samples=5000).rms)
     ctx.metric("cost_mm", result.cost)
@@ -77,12 +110,12 @@ def run(
         ctx.warn(
             f"alignment stopped after {result.n_iterations} iterations before it settled; check the overlay in the report"
         )
-    if result.start != "identity":
+    if result.start != "identity" and cfg.chirality == "keep":
         ctx.warn(
             f"the pose given by orient was replaced (start {result.start}: distance {result.cost:.3g} instead of "
             f"{result.identity_cost:.3g}, turned {rotation_angle(result.matrix):.0f} degrees); check the frame of this shape"
         )
-    if cfg.check_mirror:
+    if cfg.check_mirror and cfg.chirality == "keep":
         better, mirrored = fits_better_mirrored(mesh, reference, result)
         ctx.metric("mirrored_cost_mm", mirrored)
         if better:
@@ -91,6 +124,34 @@ def run(
                 "look at the side column of the cohort table"
             )
     return {"mesh": aligned, "landmarks": marks.transformed(result.matrix), "transform": result.matrix @ transform}
+
+
+def _better_image(
+    mesh: TriMesh,
+    marks: Landmarks,
+    transform: Floats,
+    reference: TriMesh,
+    result: IcpResult,
+    region: Region | None,
+    cfg: Config,
+    ctx: Context,
+) -> tuple[TriMesh, Landmarks, Floats, IcpResult]:
+    """Mirror a shape when its mirror image fits better; say so, and warn when neither is clearly better."""
+    other = align_mirrored(mesh, reference, result, n_points=cfg.n_points, region=region)
+    mirrored = other.cost < result.cost
+    best, worst = sorted((result.cost, other.cost))
+    ctx.metric("mirrored", mirrored)
+    ctx.metric("other_image_cost_mm", worst)
+    if best > (1.0 - cfg.chirality_margin) * worst:
+        ctx.warn(
+            f"left and right fit almost alike (distance {best:.3g} and {worst:.3g}); it was {'' if mirrored else 'not '}mirrored: "
+            "check the overlay, or give a column 'side' and set orient.mirror"
+        )
+    if not mirrored:
+        return mesh, marks, transform, result
+    flip = reflection(0)
+    proper = replace(other, matrix=other.matrix @ flip)
+    return move(mesh, flip), marks.transformed(flip), flip @ transform, proper
 
 
 STAGE = Stage(

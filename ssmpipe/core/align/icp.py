@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -17,10 +17,38 @@ from ssmpipe.core.align.rigid import (
     rigid_fit,
     rotation_vector_matrix,
 )
-from ssmpipe.core.arrays import Floats
+from ssmpipe.core.arrays import Bools, Floats
+from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.mesh.distance import sample_surface
 from ssmpipe.core.mesh.operators import face_normals, surface_centroid
 from ssmpipe.core.mesh.trimesh import TriMesh
+
+
+@dataclass(frozen=True)
+class Region:
+    """A slab of the target: between two fractions of its extent along a coordinate axis."""
+
+    axis: int
+    low: float
+    high: float
+
+    def contains(self, points: Floats, vertices: Floats) -> Bools:
+        """Say which points lie in the slab of the surface with these vertices.
+
+        Raises
+        ------
+        GeometryError
+            If fewer than a hundredth of the points do.
+        """
+        start, end = float(vertices[:, self.axis].min()), float(vertices[:, self.axis].max())
+        share = (points[:, self.axis] - start) / (end - start)
+        inside = (share >= self.low) & (share <= self.high)
+        if inside.mean() < 0.01:
+            raise GeometryError(
+                f"the region from {self.low:g} to {self.high:g} of the reference holds {100 * inside.mean():.1f} % of it",
+                "widen align.region",
+            )
+        return np.asarray(inside)
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,17 +59,21 @@ class PointSurface:
     ----------
     points, normals : (n, 3) float64
     tree : scipy.spatial.cKDTree
+    active : (n,) bool, optional
+        Points that count, with those of the other surface that lie nearest to them; all by default.
     """
 
     points: Floats
     normals: Floats
     tree: cKDTree
+    active: Bools | None = None
 
     @classmethod
-    def of(cls, mesh: TriMesh, n_points: int) -> PointSurface:
+    def of(cls, mesh: TriMesh, n_points: int, region: Region | None = None) -> PointSurface:
         """Sample a mesh, uniformly in area and the same way every time."""
         points, face, _ = sample_surface(mesh, n_points)
-        return cls(points, face_normals(mesh)[face], cKDTree(points))
+        active = None if region is None else region.contains(points, mesh.vertices)
+        return cls(points, face_normals(mesh)[face], cKDTree(points), active)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,18 +148,29 @@ def cost(source: PointSurface, target: PointSurface, matrix: Floats) -> float:
     """Return the root mean square of distances to the nearest point along its normal, both ways [mm]."""
     points, goals, normals = _pairs(source, target, matrix)
     squared = np.einsum("ij,ij->i", goals - points, normals) ** 2
-    n = len(source.points)
+    n = len(squared) - (len(target.points) if target.active is None else int(target.active.sum()))
     return float(np.sqrt(0.5 * (squared[:n].mean() + squared[n:].mean())))
 
 
 def screen(source: PointSurface, target: PointSurface, start: Floats, n_iterations: int = 15) -> tuple[Floats, float]:
     """Run a short point-to-point ICP (Besl and McKay 1992), meant for few points; returns the motion and its cost [mm]."""
     matrix = np.array(start)
+    active = target.active
     for _ in range(n_iterations):
         moved = apply(matrix, source.points)
-        matrix = rigid_fit(moved, target.points[target.tree.query(moved)[1]]) @ matrix
-    forth = target.tree.query(apply(matrix, source.points))[0]
-    back = source.tree.query(apply(_inverse(matrix), target.points))[0]
+        there = target.tree.query(moved)[1]
+        if active is not None:
+            moved, there = moved[active[there]], there[active[there]]
+            if len(moved) < 6:
+                return matrix, np.inf
+        matrix = rigid_fit(moved, target.points[there]) @ matrix
+    forth, there = target.tree.query(apply(matrix, source.points))
+    goals = target.points if active is None else target.points[active]
+    back = source.tree.query(apply(_inverse(matrix), goals))[0]
+    if active is not None:
+        forth = forth[active[there]]
+        if len(forth) < 6:
+            return matrix, np.inf
     return matrix, float(np.sqrt(0.5 * (np.mean(forth**2) + np.mean(back**2))))
 
 
@@ -140,7 +183,13 @@ def axis_starts(source: TriMesh, target: TriMesh) -> list[Floats]:
 
 
 def align(
-    source: TriMesh, target: TriMesh, *, margin: float = 0.1, n_refined: int = 4, n_points: int = 5000
+    source: TriMesh,
+    target: TriMesh,
+    *,
+    margin: float = 0.1,
+    n_refined: int = 4,
+    n_points: int = 5000,
+    region: Region | None = None,
 ) -> IcpResult:
     """Move a surface rigidly onto another, whatever its pose.
 
@@ -157,6 +206,8 @@ def align(
         Screened results that are refined.
     n_points : int
         Sample points per surface.
+    region : Region, optional
+        Part of the target that counts; what lies nearest to the rest of it is left out (shafts of different length).
 
     Returns
     -------
@@ -164,7 +215,7 @@ def align(
         The determinant of the rotation is +1 always.
     """
     few, some, all_points = (
-        (PointSurface.of(source, n), PointSurface.of(target, n))
+        (PointSurface.of(source, n), PointSurface.of(target, n, region))
         for n in (min(400, n_points), min(1200, n_points), n_points)
     )
     unmoved = np.eye(4)
@@ -192,20 +243,42 @@ def fits_better_mirrored(
 
     A sign of a wrong left/right label.
     """
+    mirrored = align_mirrored(source, target, result)
+    return mirrored.cost < (1.0 - margin) * result.cost, mirrored.cost
+
+
+def align_mirrored(
+    source: TriMesh, target: TriMesh, result: IcpResult, *, n_points: int = 5000, region: Region | None = None
+) -> IcpResult:
+    """Align the mirror image of an aligned shape; the matrix has determinant -1 and moves the shape as it was given.
+
+    Examples
+    --------
+    >>> from ssmpipe.core.mesh.primitives import star_shape
+    >>> lump = star_shape(2)
+    >>> result = align_mirrored(lump, lump, align(lump, lump, n_points=500), n_points=500)
+    >>> round(float(np.linalg.det(result.matrix)), 6)
+    -1.0
+    """
     placed = move(source, result.matrix)
     center = surface_centroid(placed)
     flip = homogeneous(np.eye(3), center) @ reflection(0) @ homogeneous(np.eye(3), -center)
-    mirrored = align(move(placed, flip), target)
-    return mirrored.cost < (1.0 - margin) * result.cost, mirrored.cost
+    mirrored = align(move(placed, flip), target, n_points=n_points, region=region)
+    return replace(mirrored, matrix=mirrored.matrix @ flip @ result.matrix)
 
 
 def _pairs(source: PointSurface, target: PointSurface, matrix: Floats) -> tuple[Floats, Floats, Floats]:
     """Return moved source points, the target points they belong to, and the normals to measure along, both ways."""
     moved, turned = apply(matrix, source.points), source.normals @ matrix[:3, :3].T
     there = target.tree.query(moved)[1]
-    back = source.tree.query(apply(_inverse(matrix), target.points))[1]
-    points = np.vstack([moved, moved[back]])
-    goals = np.vstack([target.points[there], target.points])
+    seen = target.points if target.active is None else target.points[target.active]
+    back = source.tree.query(apply(_inverse(matrix), seen))[1]
+    forth = moved
+    if target.active is not None:
+        counts = target.active[there]
+        forth, there = moved[counts], there[counts]
+    points = np.vstack([forth, moved[back]])
+    goals = np.vstack([target.points[there], seen])
     return points, goals, np.vstack([target.normals[there], turned[back]])
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import fast_simplification
 import igl
@@ -11,17 +12,23 @@ import numpy as np
 from ssmpipe.core.errors import TopologyError
 from ssmpipe.core.mesh.topology import boundary_loops, compact, euler_characteristic, face_components, is_manifold
 from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.core.repair.pymeshlab_filter import pymeshlab_filter
 
 
 @dataclass(frozen=True, eq=False)
 class Decimated:
-    """A decimated mesh and the method that made it: ``quadric``, ``qslim`` (the careful fallback) or ``none``."""
+    """A decimated mesh and the method that made it: ``quadric`` (fast-simplification), ``qslim``, ``pymeshlab`` or ``none``."""
 
     mesh: TriMesh
     method: str
 
 
-def decimate(mesh: TriMesh, n_faces: int, *, keep_boundary: bool = False) -> Decimated:
+Method = Literal["fast-simplification", "qslim", "pymeshlab"]
+
+
+def decimate(
+    mesh: TriMesh, n_faces: int, *, keep_boundary: bool = False, method: Method = "fast-simplification"
+) -> Decimated:
     """Reduce a mesh to about ``n_faces`` faces by quadric error edge collapse (Garland and Heckbert 1997).
 
     The fast collapse does not watch topology, so its result is checked; when it differs, the collapse of libigl, which
@@ -34,7 +41,9 @@ def decimate(mesh: TriMesh, n_faces: int, *, keep_boundary: bool = False) -> Dec
     n_faces : int
         Target; the mesh is returned as it is when it has no more than this.
     keep_boundary : bool
-        Keep all boundary vertices, at the cost of the interior.
+        Keep all boundary vertices, at the cost of the interior; ``qslim`` cannot.
+    method : {"fast-simplification", "qslim", "pymeshlab"}
+        Who collapses the edges first; ``qslim`` of libigl takes over when the topology changed.
 
     Raises
     ------
@@ -50,12 +59,10 @@ def decimate(mesh: TriMesh, n_faces: int, *, keep_boundary: bool = False) -> Dec
     if mesh.n_faces <= n_faces:
         return Decimated(mesh, "none")
     wanted = _topology(mesh)
-    vertices, faces = fast_simplification.simplify(
-        np.array(mesh.vertices), mesh.faces.astype(np.int32), target_count=n_faces, preserve_border=keep_boundary
-    )
-    result = compact(TriMesh(vertices, faces))
-    if result.n_faces <= 1.01 * n_faces + 2 and _topology(result) == wanted:
-        return Decimated(result, "quadric")
+    if method != "qslim":
+        result = _fast(mesh, n_faces, keep_boundary) if method == "fast-simplification" else _pymeshlab(mesh, n_faces)
+        if result.n_faces <= 1.01 * n_faces + 2 and _topology(result) == wanted:
+            return Decimated(result, "quadric" if method == "fast-simplification" else method)
     answer = igl.qslim(mesh.vertices, mesh.faces, n_faces)
     result = compact(TriMesh(answer[0], answer[1]))
     if result.n_faces <= 1.01 * n_faces + 2 and _topology(result) == wanted:
@@ -63,6 +70,34 @@ def decimate(mesh: TriMesh, n_faces: int, *, keep_boundary: bool = False) -> Dec
     raise TopologyError(
         f"decimation from {mesh.n_faces} to {n_faces} faces gave {result.n_faces} and another topology", "raise n_faces"
     )
+
+
+def _fast(mesh: TriMesh, n_faces: int, keep_boundary: bool) -> TriMesh:
+    vertices, faces = fast_simplification.simplify(
+        np.array(mesh.vertices), mesh.faces.astype(np.int32), target_count=n_faces, preserve_border=keep_boundary
+    )
+    return compact(TriMesh(vertices, faces))
+
+
+def _pymeshlab(mesh: TriMesh, n_faces: int) -> TriMesh:
+    result = pymeshlab_filter(
+        mesh,
+        "meshing_decimation_quadric_edge_collapse",
+        targetfacenum=n_faces,
+        targetperc=0.0,
+        qualitythr=0.3,
+        preserveboundary=True,
+        boundaryweight=1.0,
+        preservenormal=False,
+        preservetopology=True,
+        optimalplacement=True,
+        planarquadric=False,
+        planarweight=0.001,
+        qualityweight=False,
+        autoclean=True,
+        selected=False,
+    )
+    return compact(result)
 
 
 def _topology(mesh: TriMesh) -> tuple[bool, int, int, int]:

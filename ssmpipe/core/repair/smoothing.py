@@ -28,7 +28,9 @@ def neighbour_average(mesh: TriMesh) -> sparse.csr_matrix:
     return sparse.csr_matrix(sparse.diags(1.0 / np.where(degree > 0, degree, 1.0)) @ matrix)
 
 
-def taubin(mesh: TriMesh, *, n_iterations: int = 10, lam: float = 0.5, mu: float = -0.53) -> TriMesh:
+def taubin(
+    mesh: TriMesh, *, n_iterations: int = 10, lam: float = 0.5, mu: float = -0.53, fix_boundary: bool = False
+) -> TriMesh:
     """Smooth by alternating a shrinking and a growing Laplacian step (Taubin 1995).
 
     Parameters
@@ -38,6 +40,8 @@ def taubin(mesh: TriMesh, *, n_iterations: int = 10, lam: float = 0.5, mu: float
         Pairs of steps. What counts as noise depends on the edge length: a finer mesh needs more.
     lam, mu : float
         Step sizes, ``0 < lam < -mu``; the pass band ends at ``1 / lam + 1 / mu``.
+    fix_boundary : bool
+        Whether the boundary stays; otherwise it is smoothed as a curve.
 
     Returns
     -------
@@ -47,6 +51,8 @@ def taubin(mesh: TriMesh, *, n_iterations: int = 10, lam: float = 0.5, mu: float
     average = neighbour_average(mesh)
     vertices = np.array(mesh.vertices)
     moving = (np.asarray(average.sum(axis=1)).ravel() > 0)[:, None]
+    if fix_boundary:
+        moving[boundary_half_edges(mesh.faces)] = False
     for _ in range(n_iterations):
         for step in (lam, mu):
             vertices = vertices + step * np.where(moving, average @ vertices - vertices, 0.0)
