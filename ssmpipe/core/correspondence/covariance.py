@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,6 +15,7 @@ from ssmpipe.core.correspondence.spectral import SpectralFunction
 
 CHOLESKY_FROM = 200
 """Number of shapes from which the log-determinant is computed without eigenvalues."""
+_MANY = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +52,21 @@ class Spectrum:
             inverse = scipy.linalg.cho_solve(self._factor(function.shift), np.eye(n), check_finite=False)
             return np.asarray(0.5 * (inverse + inverse.T) - 1.0 / (n * function.shift))
         return np.asarray((self.vectors * function.slope(self.eigenvalues)) @ self.vectors.T)
+
+    def slope_product(self, function: SpectralFunction) -> Callable[[Floats], Floats]:
+        """Return the product of :meth:`slope` with (n_S, n) columns that sum to zero.
+
+        Modes with the same ``phi'`` as the last one, all below the threshold of the description length, need no eigenvectors;
+        where they are many the product is the cheaper for it.
+        """
+        if not self._by_cholesky(function):
+            slopes = function.slope(self.eigenvalues)
+            other = slopes != slopes[-1]
+            if _MANY * np.count_nonzero(other) <= len(slopes):
+                vectors, excess = self.vectors[:, other], (slopes[other] - slopes[-1])[:, None]
+                return lambda columns: slopes[-1] * columns + vectors @ (excess * (vectors.T @ columns))
+        whole = self.slope(function)
+        return lambda columns: np.asarray(whole @ columns)
 
     def _by_cholesky(self, function: SpectralFunction) -> bool:
         return function.shift > 0 and len(self.gram) >= CHOLESKY_FROM
@@ -102,7 +119,9 @@ def spectrum(centred: Floats, weights: Floats, threads: int = 1) -> Spectrum:
     return Spectrum(gram)
 
 
-def spectral_adjoint(centred: Floats, weights: Floats, d_gram: Floats, block: slice = slice(None)) -> Floats:
+def spectral_adjoint(
+    centred: Floats, weights: Floats, slope_product: Callable[[Floats], Floats], block: slice = slice(None)
+) -> Floats:
     """Return the derivative of ``sum phi(lambda_m)`` in some landmarks of all shapes, at fixed weights, (n_S, n, d).
 
     It is the closed solution ``mu_m = phi'(lambda_m) v_m`` of the adjoint system [2.20].
@@ -111,14 +130,14 @@ def spectral_adjoint(centred: Floats, weights: Floats, d_gram: Floats, block: sl
     ----------
     centred, weights
         As in :func:`spectrum`.
-    d_gram : (n_S, n_S)
-        ``V diag(phi') V^T``.
+    slope_product : callable
+        :meth:`Spectrum.slope_product`, or some rows of it.
     block : slice, optional
         Landmarks; all by default.
     """
     n_shapes = len(centred)
     part = centred[:, block]
-    product = (d_gram @ part.reshape(n_shapes, -1)).reshape(len(d_gram), *part.shape[1:])
+    product = slope_product(part.reshape(n_shapes, -1)).reshape(-1, *part.shape[1:])
     product *= (2.0 / (n_shapes - 1) * weights[block])[:, None]
     return np.asarray(product)
 

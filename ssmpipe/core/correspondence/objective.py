@@ -246,27 +246,28 @@ class GroupObjective:
         evaluation = self.evaluate(x)
         jet = evaluation.jet
         centred = evaluation.centred
-        d_gram = evaluation.spectrum.slope(self.spectral)
+        slope_product = evaluation.spectrum.slope_product(self.spectral)
         moving = self.moving
         d_tangents: tuple[Floats, ...] = ()
         through: Floats | None = None
         if self.covariance == "II":
-            d_weights = weight_adjoint(centred, d_gram)
+            d_weights = weight_adjoint(centred, evaluation.spectrum.slope(self.spectral))
             d_tangents = size_weights_adjoint(self._base, evaluation.mean_tangents, d_weights)
             through = self._through_tangents(evaluation, d_tangents)
 
         if self._d_parameters.shape != evaluation.parameters.shape:
             self._d_parameters = np.empty(evaluation.parameters.shape)
         d_parameters = self._d_parameters
+        d_gram = evaluation.spectrum.slope(self.spectral) if self.target is not None else np.empty(0)
 
         def by_landmarks(block: slice) -> None:
-            d_points = spectral_adjoint(centred, evaluation.weights, d_gram, block)
+            d_points = spectral_adjoint(centred, evaluation.weights, slope_product, block)
             for c, tangent in enumerate(jet.first):
                 np.einsum("ild,ild->il", d_points, tangent[:, block], out=d_parameters[:, block, c])
 
         def by_shapes(block: slice) -> Floats:
             if self.target is not None:
-                d_points = spectral_adjoint(centred, evaluation.weights, d_gram[block])
+                d_points = spectral_adjoint(centred, evaluation.weights, lambda columns: d_gram[block] @ columns)
                 each = zip(jet.points[block], evaluation.rotations[block], d_points, strict=True)
                 d_points = np.stack([align_to_adjoint(p, self.target, evaluation.weights, r, d) for p, r, d in each])
                 d_parameters[block] = np.stack([_dot(d_points, s[block]) for s in jet.first], axis=-1)

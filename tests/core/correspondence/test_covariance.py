@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 from ssmpipe.core.correspondence import covariance
 from ssmpipe.core.correspondence.covariance import CHOLESKY_FROM, Spectrum, centre, spectral_adjoint, spectrum
@@ -20,7 +21,7 @@ def test_log_determinant_by_cholesky_equals_the_eigenvalues():
     slow = SpectralFunction(fast.value, fast.slope, fast.curvature)
     assert slow.shift == 0
     assert abs(spec.value(fast) - spec.value(slow)) < 1e-8 * abs(spec.value(slow))
-    a, b = (spectral_adjoint(centred, weights, spec.slope(f)) for f in (fast, slow))
+    a, b = (spectral_adjoint(centred, weights, spec.slope_product(f)) for f in (fast, slow))
     assert np.abs(a - b).max() < 1e-8 * np.abs(b).max()
 
 
@@ -30,6 +31,18 @@ def test_log_determinant_of_many_shapes_takes_no_eigenvalues(monkeypatch):
     function = spectral_function("log-determinant", 1.0)
     spec.value(function)
     spec.slope(function)
+
+
+@pytest.mark.parametrize(("cut", "n_above"), [(1e9, 0), (5.0, 4), (1e-9, 30)])
+def test_few_modes_above_the_threshold_give_the_product_of_all(cut, n_above):
+    centred, weights = cohort(80)
+    spec = spectrum(centred, weights)
+    function = spectral_function("description-length", cut)
+    assert np.count_nonzero(spec.eigenvalues > cut) == n_above
+    columns = centred.reshape(80, -1)
+    expected = spec.slope(function) @ columns
+    got = spec.slope_product(function)(columns)
+    np.testing.assert_allclose(got, expected, atol=1e-8 * np.abs(expected).max())
 
 
 def test_any_number_of_threads_gives_the_same_bits():
