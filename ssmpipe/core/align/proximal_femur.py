@@ -72,14 +72,16 @@ def analyze_proximal_femur(mesh: TriMesh, n_rounds: int = 3) -> ProximalFemur:
     center = surface_centroid(mesh)
     local = TriMesh(mesh.vertices - center, mesh.faces)
     points = local.vertices[np.unique(local.faces)]
-    first, *others = _first_axes(local, points)
-    try:
-        found = _from_start(local, points, first, n_rounds)
-    except GeometryError:
-        if not others:
-            raise
-        # a strongly bowed shaft can mislead about the end
-        found = _from_start(local, points, others[0], n_rounds)
+    found, refusal = None, None
+    for start in _first_axes(local, points):
+        # a strongly bowed shaft, or a flat place elsewhere, can mislead about the end
+        try:
+            found = _from_start(local, points, start, n_rounds)
+            break
+        except GeometryError as error:
+            refusal = refusal or error
+    if found is None:
+        raise refusal or GeometryError("no shaft found below the femoral head", _REFUSED)
     return replace(found, origin=found.origin + center, head=found.head + center, trochanter=found.trochanter + center)
 
 
@@ -122,6 +124,12 @@ def _from_start(local: TriMesh, points: Floats, start: tuple[Floats, Floats, flo
             head, radius = _head(points, z, origin)
         apex, bulge = _lowest_bulge(local, points, z, origin, head, radius, diameter)
         top, bottom = float(apex @ z) - 0.5 * diameter, float(apex @ z) - 3.0 * diameter
+    if not 0.5 < radius / diameter < 1.2 or bulge > 0.45 * diameter:
+        raise GeometryError(
+            f"no femoral head found: a sphere of {radius:.1f} mm radius on a shaft of {diameter:.1f} mm diameter, with a bulge of "
+            f"{bulge:.1f} mm, is none",
+            _REFUSED,
+        )
     return ProximalFemur(z, origin, diameter, head, radius, apex, bulge)
 
 
@@ -130,7 +138,13 @@ def _first_axes(mesh: TriMesh, points: Floats) -> list[tuple[Floats, Floats, flo
     axes, _ = principal_axes(mesh)
     extent = np.ptp(points @ axes.T, axis=0)
     long = extent[0] > 2.2 * extent[1]
-    z = axes[0] if long else -_cut_direction(mesh)
+    if long:
+        return _axes_along(mesh, points, axes[0], long)
+    cut = _cut_direction(mesh)
+    return [start for z in (-cut, -cylinder_end(mesh), cut) for start in _axes_along(mesh, points, z, long)]
+
+
+def _axes_along(mesh: TriMesh, points: Floats, z: Floats, long: bool) -> list[tuple[Floats, Floats, float]]:
     low, high = float((points @ z).min()), float((points @ z).max())
     at = low + (high - low) * np.linspace(0.02, 0.98, 49)
     areas, centroids = section_areas(mesh, z, at)
