@@ -82,8 +82,8 @@ PRESETS: Mapping[str, Preset] = {
             topology="cone",
             stages=(
                 ("repair", {}),
-                ("orient", {}),
-                ("trim", {"up": (0.0, 0.0, -1.0), "offset_mm": 20.0}),
+                ("orient", {"frame": "femur-proximal"}),
+                ("trim", {"up": (0.0, 0.0, -1.0), "find": "trochanter", "offset_shafts": 0.7}),
                 ("smooth", {}),
                 ("decimate", {}),
                 ("align", {}),
