@@ -119,6 +119,7 @@ PRESETS: Mapping[str, Preset] = {
             stages=(
                 ("repair", {"max_openings": 20}),
                 ("orient", {"mirror": "none", "frame": "principal"}),
+                ("fill-holes", {"keep_openings": 2}),
                 ("trim", {"ends": 2}),
                 ("smooth", {}),
                 ("decimate", {}),
@@ -138,6 +139,7 @@ PRESETS: Mapping[str, Preset] = {
             stages=(
                 ("repair", {"max_openings": 20}),
                 ("orient", {"mirror": "none", "frame": "principal"}),
+                ("fill-holes", {"keep_openings": 2}),
                 ("trim", {"ends": 2}),
                 ("smooth", {}),
                 ("decimate", {}),
