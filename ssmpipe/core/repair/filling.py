@@ -15,8 +15,16 @@ from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.mesh.operators import edge_lengths, vertex_normals
 from ssmpipe.core.mesh.topology import boundary_half_edges, unique_edges
 from ssmpipe.core.mesh.trimesh import TriMesh
-from ssmpipe.core.repair.patch_fairing import ImplicitSurface, biharmonic, fading, membrane, noise_level, relaxed, thinned
 from ssmpipe.core.repair.holes import check_loops, delaunay_flips, folded_share, round_patch, started_by_shape
+from ssmpipe.core.repair.patch_fairing import (
+    ImplicitSurface,
+    biharmonic,
+    fading,
+    membrane,
+    noise_level,
+    relaxed,
+    thinned,
+)
 from ssmpipe.core.repair.smoothing import taubin
 
 Method = Literal["auto", "implicit", "biharmonic", "membrane"]
