@@ -207,3 +207,40 @@ def test_followed_multipliers_bend_the_curvature_and_not_the_gradient():
     np.testing.assert_array_equal(f.value_and_gradient(x)[1], before)
     assert not np.allclose(f.hessian(x)(x), product, rtol=1e-6, atol=0)
     assert not np.allclose(f.preconditioner(x)(x), solved, rtol=1e-6, atol=0)
+
+
+def test_no_direction_rises_faster_than_the_gradient():
+    """Table 2.3 of the thesis: of n_V directions in which one coefficient point may go, the steepest nears the adjoint gradient."""
+    f = objective(barrier=0)
+    rng = np.random.default_rng(8)
+    x = f.start() + 0.01 * rng.normal(size=f.start().size)
+    gradient = f.spectral_gradient(x)[1]
+    point = 2 * int(np.argmax(np.linalg.norm(gradient.reshape(-1, 2), axis=1)))
+    adjoint = gradient[point : point + 2]
+    size = np.linalg.norm(adjoint)
+
+    def rise(angle):
+        step = np.zeros_like(x)
+        step[point : point + 2] = np.cos(angle), np.sin(angle)
+        return (f.spectral_value(x + 1e-6 * step) - f.spectral_value(x - 1e-6 * step)) / 2e-6
+
+    for n_v in (25, 100, 500):
+        angles = 2 * np.pi * np.arange(n_v) / n_v
+        rises = np.array([rise(a) for a in angles])
+        best = int(rises.argmax())
+        steepest = rises[best] * np.array([np.cos(angles[best]), np.sin(angles[best])])
+        # the nearest of n_V directions is at most half a step off
+        assert np.linalg.norm(steepest - adjoint) < 2 * np.sin(0.5 * np.pi / n_v) * size + 1e-5 * size
+        np.testing.assert_allclose(rises, np.cos(angles) * adjoint[0] + np.sin(angles) * adjoint[1], atol=1e-5 * size)
+
+
+@pytest.mark.parametrize("boundary", ["fixed", "sliding", "periodic"])
+@pytest.mark.parametrize("reference", [1, -1])
+def test_direct_and_adjoint_agree_to_nine_digits(boundary, reference):
+    """Table 2.1 of the thesis, entry by entry where the entry is not next to nothing."""
+    f = objective("I", boundary, reference, barrier=0)
+    x = f.start() + f._keep_gauge(0.01 * np.random.default_rng(9).normal(size=f.start().size))
+    adjoint, direct = f.spectral_gradient(x)[1], direct_gradient(f, x)
+    told = np.abs(adjoint) > 1e-6 * np.abs(adjoint).max()
+    assert told.mean() > 0.9
+    np.testing.assert_allclose(direct[told], adjoint[told], rtol=1e-9)
