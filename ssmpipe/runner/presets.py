@@ -160,8 +160,8 @@ PRESETS: Mapping[str, Preset] = {
             stages=(
                 ("contour", {}),
                 ("align", {}),
-                ("fit", {}),
-                ("optimize", {"n_coefficients": [12], "landmarks": [151]}),
+                ("fit", {"n_control": 160}),
+                ("optimize", {"n_coefficients": [12], "landmarks": [301], "normalize": "none"}),
                 *_GROUP[1:],
             ),
         ),

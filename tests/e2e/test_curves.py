@@ -102,7 +102,7 @@ def test_photographs_become_a_model(tmp_path: Path) -> None:
     code, text = ssmpipe("check", config)
     assert code == 0, text
     assert "4 of 4 scans can be used" in text
-    quick = ["optimize.landmarks=[60]", "contour.ends=stem", "contour.longest_side=400", "fit.n_control=60"]
+    quick = ["optimize.landmarks=[60]", "contour.ends=stem", "contour.longest_side=400", "fit.n_control=90"]
     quick = [part for text in quick for part in ("--set", f"stages.{text}")]
     code, text = ssmpipe("run", config, "-j", "1", "-q", *quick)
     assert code == 0, text
@@ -129,7 +129,7 @@ def test_photographs_become_a_model(tmp_path: Path) -> None:
 
 def test_spline_files_enter_at_optimize(tmp_path: Path) -> None:
     assert ssmpipe("synth", "line-bump", tmp_path / "lines") == (0, f"4 shapes written to {tmp_path / 'lines'}\n")
-    group = "[{optimize: {n_coefficients: [8], landmarks: [31]}}, model, evaluate, report]"
+    group = "[{optimize: {n_coefficients: [8], landmarks: [31], normalize: none}}, model, evaluate, report]"
     inputs = "{scans: lines/scans/*.npz, landmarks: lines/landmarks.csv, units: none}"
     for name, head, stages in (
         ("group", "", group),
