@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from markupsafe import Markup
@@ -13,7 +13,7 @@ from ssmpipe.contract import Table
 from ssmpipe.core.correspondence.correspondence import Correspondence
 from ssmpipe.core.model.shape_model import ShapeModel
 from ssmpipe.report.page import fill, resource
-from ssmpipe.report.section import ReportData
+from ssmpipe.report.section import ReportData, Section
 from ssmpipe.report.sections import SECTIONS
 from ssmpipe.report.wording import count, number
 
@@ -56,13 +56,21 @@ def build_report(
     sections = [section for render in SECTIONS if (section := render(data)) is not None]
     name = str(record.get("name") or "Shape model")
     about = f"{count(len(model.ids), 'shape')}, {number(len(model.mean))} points each, {count(len(model.modes), 'mode')} of variation"
+    return assemble(name=name, about=about, version=str(record.get("ssmpipe_version", "")), sections=sections)
+
+
+def assemble(
+    *, name: str, about: str, version: str, sections: Sequence[Section], kind: str = "Statistical shape model"
+) -> str:
+    """Return a page of sections with the style and the viewer of the report, and the policy that lets only these run."""
     style, script = resource("templates", "report.css"), resource("assets", "viewer.js")
     return str(
         fill(
             "report.html.j2",
             name=name[:1].upper() + name[1:],
+            kind=kind,
             about=about,
-            version=record.get("ssmpipe_version", ""),
+            version=version,
             sections=sections,
             style=Markup(style),
             script=Markup(script),
