@@ -32,6 +32,15 @@ class Config(StageConfig):
         int,
         Field(ge=0, description="Number of loops that stay open: those at landmarks first, then the longest [count]."),
     ] = 0
+    opening_share: Annotated[
+        float,
+        Field(
+            ge=0,
+            lt=1,
+            description="A loop shorter than this share of the longest one is a hole, even if fewer than keep_openings stay open "
+            "then; 0: length does not matter [-].",
+        ),
+    ] = 0.0
     method: Annotated[
         Literal["auto", "implicit", "biharmonic", "membrane"],
         Field(
@@ -67,7 +76,7 @@ def run(mesh: TriMesh, landmarks: Landmarks | None = None, *, cfg: Config, ctx: 
     """Fill the holes of one shape; see :mod:`ssmpipe.core.repair.filling` and :mod:`ssmpipe.core.repair.stump`."""
     check_loops(mesh)
     marks = landmarks if landmarks is not None else Landmarks()
-    openings = _openings(mesh, marks, cfg.keep_openings)
+    openings = _openings(mesh, marks, cfg.keep_openings, cfg.opening_share)
     places = [] if cfg.stumps == "none" else [p for p in map(marks.role, STUMPS) if p is not None]
     before = len(boundary_loops(mesh.faces))
     flat, holes, removed = flatten(
@@ -100,7 +109,7 @@ def run(mesh: TriMesh, landmarks: Landmarks | None = None, *, cfg: Config, ctx: 
     return {"mesh": filled}
 
 
-def _openings(mesh: TriMesh, marks: Landmarks, n: int) -> list[Ints]:
+def _openings(mesh: TriMesh, marks: Landmarks, n: int, share: float) -> list[Ints]:
     loops = sorted(boundary_loops(mesh.faces), key=lambda loop: -loop_length(mesh, loop))
     chosen: list[int] = []
     for role in OPENINGS:
@@ -114,8 +123,10 @@ def _openings(mesh: TriMesh, marks: Landmarks, n: int) -> list[Ints]:
                 "put each landmark at its own opening",
             )
         chosen.append(nearest)
-    chosen += [k for k in range(len(loops)) if k not in chosen][: max(0, n - len(chosen))]
-    if len(chosen) < n:
+    least = share * max((loop_length(mesh, loop) for loop in loops), default=0.0)
+    large = [k for k in range(len(loops)) if k not in chosen and loop_length(mesh, loops[k]) >= least]
+    chosen += large[: max(0, n - len(chosen))]
+    if len(chosen) < n and share == 0:
         raise TopologyError(
             f"the surface has {len(loops)} boundary loops, {n} shall stay open (fill-holes.keep_openings)",
             "lower fill-holes.keep_openings, or open the scan",

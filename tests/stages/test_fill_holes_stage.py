@@ -44,6 +44,19 @@ def test_the_longest_loops_stay_open():
     assert second.metrics["n_filled"] == 0
 
 
+def test_a_short_loop_is_a_hole_though_an_end_is_closed():
+    mesh = holed_tube()
+    loops = boundary_loops(mesh.faces)
+    ends = sorted(loops, key=lambda loop: float(np.ptp(mesh.vertices[loop][:, 2])))[:2]
+    middle = mesh.vertices[ends[0]].mean(axis=0)
+    lid = np.c_[np.roll(ends[0], -1), ends[0], np.full(len(ends[0]), mesh.n_vertices)]
+    closed = TriMesh(np.vstack([mesh.vertices, middle]), np.vstack([mesh.faces, lid]))
+    kept, _ = go(closed, keep_openings=2)
+    assert len(boundary_loops(kept.faces)) == 2
+    filled, ctx = go(closed, keep_openings=2, opening_share=0.5)
+    assert len(boundary_loops(filled.faces)) == ctx.metrics["n_openings_kept"] == 1
+
+
 def test_landmarks_name_the_openings():
     mesh = holed_tube()
     ends = sorted(boundary_loops(mesh.faces), key=lambda loop: float(np.ptp(mesh.vertices[loop][:, 2])))[:2]

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from ssmpipe.core.arrays import Floats, Ints
+from ssmpipe.core.arrays import Bools, Floats, Ints
 from ssmpipe.core.errors import TopologyError
 from ssmpipe.core.mesh.operators import edge_lengths, face_areas, mean_edge_length
 from ssmpipe.core.mesh.topology import boundary_loops, compact, face_components, loop_length, unique_edges
@@ -105,6 +105,9 @@ def remove(mesh: TriMesh, stumps: Sequence[Stump]) -> TriMesh:
     TopologyError
         If less than half of the surface is left.
     """
+    rims = boundary_loops(mesh.faces)
+    old_rim = np.zeros(mesh.n_vertices, dtype=bool)
+    old_rim[np.concatenate(rims) if rims else []] = True
     gone = np.zeros(mesh.n_vertices, dtype=bool)
     for stump in stumps:
         gone |= np.isfinite(distance_from(mesh, stump.seeds, stump.length))
@@ -120,16 +123,17 @@ def remove(mesh: TriMesh, stumps: Sequence[Stump]) -> TriMesh:
             f"removing {len(stumps)} stumps leaves {100 * share:.0f} % of the surface",
             "keep the true ends with fill-holes.keep_openings or landmarks, or lower fill-holes.stump_radius_mm",
         )
-    faces = _without_ears(rest.faces[label == int(np.argmax(part))])
+    old_rim = np.r_[old_rim, np.zeros(rest.n_vertices - mesh.n_vertices, dtype=bool)]
+    faces = _without_ears(rest.faces[label == int(np.argmax(part))], old_rim)
     opened, _ = separate_fans(compact(TriMesh(rest.vertices, faces)))
     return opened
 
 
-def _without_ears(faces: Ints) -> Ints:
-    """Drop faces with two open sides: teeth of the cut."""
+def _without_ears(faces: Ints, old_rim: Bools) -> Ints:
+    """Drop faces with two open sides: teeth of the cut, not those of rims that were there before."""
     for _ in range(3):
         edges = unique_edges(faces)
-        ear = (edges.n_faces[edges.of_face] == 1).sum(axis=1) > 1
+        ear = ((edges.n_faces[edges.of_face] == 1).sum(axis=1) > 1) & ~old_rim[faces].any(axis=1)
         if not ear.any():
             break
         faces = faces[~ear]

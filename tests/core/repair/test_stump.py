@@ -5,8 +5,9 @@ import pytest
 
 from ssmpipe.core.errors import TopologyError
 from ssmpipe.core.mesh.primitives import flat_square, tube
-from ssmpipe.core.mesh.topology import boundary_loops, compact, is_manifold, loop_length
+from ssmpipe.core.mesh.topology import boundary_loops, compact, face_components, is_manifold, loop_length
 from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.core.repair.cleaning import separate_fans
 from ssmpipe.core.repair.stump import Stump, distance_from, flatten, girths, remove, stump_base
 
 
@@ -62,6 +63,19 @@ def test_a_stump_is_flattened():
     assert untouched is mesh
     assert len(same) == 1
     assert none == []
+
+
+def test_ragged_openings_far_away_are_left_alone():
+    mesh = chimney()
+    rng = np.random.default_rng(0)
+    outside = np.linalg.norm(mesh.vertices[mesh.faces].mean(axis=1)[:, :2], axis=1) > 19.0
+    ragged, _ = separate_fans(compact(mesh, ~(outside & (rng.random(mesh.n_faces) < 0.5))))
+    label = face_components(ragged.faces)
+    ragged = compact(ragged, label == np.bincount(label).argmax())
+    outer = longest(ragged)
+    flat, _, stumps = flatten(ragged, [outer])
+    assert len(stumps) == 1
+    assert any(len(loop) == len(outer) for loop in boundary_loops(flat.faces))
 
 
 def test_marks_and_refusals():
