@@ -169,4 +169,4 @@ def interpolating_surface(points: Floats, *, closed_u: bool = False) -> BSplineS
     True
     """
     rows = np.concatenate([points, points[:1]]) if closed_u else points
-    return fit_surface(rows, degree=(3, 3), n_control=(rows.shape[0], rows.shape[1]))
+    return fit_surface(rows, degree=(3, 3), n_control=(rows.shape[0], rows.shape[1]), smooth=False)
