@@ -453,7 +453,9 @@ def compare(
         from ssmpipe.use.comparing import CompareOptions, compare_results
         from ssmpipe.use.groups import GroupOptions
 
-        made_of = GroupOptions(by, _names(groups), paired or subject, _names(covariates))
+        made_of = GroupOptions(
+            by, _names(groups), paired or subject, _names(covariates), "--paired" if paired else "--subject"
+        )
         tests = Options(n_modes=modes, n_permutations=permutations, paired=paired is not None)
         for line in compare_results(result, result_b, out, CompareOptions(made_of, tests, seed, alpha)):
             click.echo(line)

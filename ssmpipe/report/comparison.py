@@ -400,7 +400,7 @@ def scores_figure(page: ComparisonPage) -> Figure:
             for g in range(2):
                 panels[2].hist(values[labels == g], bins=list(steps), color=COLOURS[g], alpha=0.6)
             panels[2].set(xlabel="discriminant [σ inside the groups]", ylabel="shapes")
-            panels[2].set_title("Discriminant (shapes it was made from)")
+            panels[2].set_title("Discriminant (same shapes)")
         handles, names = panels[0].get_legend_handles_labels()
         made.legend(handles, names, loc="lower center", ncols=min(len(names), 6))
         return made

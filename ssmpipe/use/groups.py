@@ -38,12 +38,15 @@ class GroupOptions:
         Column that tells whose shape it is; ``subject`` by default, where there is one.
     covariates : tuple of str
         Columns to take into account; ``size`` stands for the size of the shape itself.
+    subject_option : str
+        Option that names the column of the subjects, for messages.
     """
 
     by: str | None = None
     groups: tuple[str, ...] = ()
     subject: str | None = None
     covariates: tuple[str, ...] = ()
+    subject_option: str = "--subject"
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +134,7 @@ def load_cohort(result: Path, other: Path | None, options: GroupOptions) -> Coho
     subject_column = options.subject or "subject"
     known = any(subject_column in row for row in columns.values())
     if options.subject is not None and not known:
-        _column(columns, keys, subject_column, "--subject", model)
+        _column(columns, keys, subject_column, options.subject_option, model)
     subjects = tuple(columns.get(key, {}).get(subject_column, "") or key for key in ids)
     size = centroid_size(points[chosen])
     named, covariates = _covariates(options.covariates, columns, ids, size, model)
@@ -206,6 +209,11 @@ def _groups(values: Sequence[str], by: str, wanted: Sequence[str]) -> tuple[str,
             )
         if len(set(wanted)) != len(wanted):
             raise ConfigError("--groups names a group twice")
+        if len(wanted) < 2:
+            raise ConfigError(
+                f"--groups names {wanted[0]} only, at least two groups are needed",
+                "name two of them, or leave --groups out for all",
+            )
         there = list(wanted)
     if len(there) < 2:
         raise ConfigError(
