@@ -178,7 +178,9 @@ def _folds(labels: Ints, subjects: Ints, max_folds: int, rng: np.random.Generato
     """Return the fold of every row: subjects whole, dealt out group by group so that folds are alike."""
     numbers, first, subject = np.unique(subjects, return_index=True, return_inverse=True)
     n_folds = min(max_folds, len(numbers))
-    order = np.lexsort((rng.random(len(numbers)), labels[first]))
+    # groups in the order of their rows, not of their numbers: the same folds when the groups are swapped
+    place = -np.unique(labels, return_index=True)[1][labels[first]]
+    order = np.lexsort((rng.random(len(numbers)), place))
     of_subject = np.empty(len(numbers), dtype=np.int64)
     of_subject[order] = np.arange(len(numbers)) % n_folds
     return of_subject[subject.ravel()]

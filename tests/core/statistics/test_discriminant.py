@@ -61,6 +61,17 @@ def test_clear_groups_are_sorted_and_equal_ones_are_not():
         assert found.balanced == pytest.approx((found.predicted == labels).mean())
 
 
+def test_swapping_the_groups_sorts_the_same():
+    rng = np.random.default_rng(0)
+    labels, subjects = rng.permuted(np.repeat([0, 1], 15)), np.arange(30) // 2
+    values = rng.normal(size=(30, 6))
+    straight, swapped = (
+        cross_validate(values, marks, subjects, 4, np.random.default_rng(5)) for marks in (labels, 1 - labels)
+    )
+    assert np.array_equal(straight.predicted, 1 - swapped.predicted)
+    assert straight.accuracy == swapped.accuracy
+
+
 def test_subjects_are_never_on_both_sides():
     # each subject has its own place and the group is a toss-up: whoever sees the twin row knows the answer
     rng = np.random.default_rng(1)
