@@ -139,6 +139,7 @@ def page(results: dict[str, dict[str, np.ndarray]], truth: np.ndarray, seconds: 
     free, fixed = results["periodic"], results["fixed"]
     n_kept = int(free["near"].sum())
     before, after, held = free["before"].mean(), free["after"].mean(), results["held"]["after"].mean()
+    other = fixed["before"].mean()
     rows = [
         row("before, periodic seam", free["before"]),
         row("before, straight seam", fixed["before"]),
@@ -167,7 +168,7 @@ from every shape to every other one; the error is the distance to where it belon
 |---|---|---|---|---|
 {chr(10).join(rows)}
 
-The optimization leaves {100 * after / before:.0f} % of the error at the start ({100 * after / fixed["before"].mean():.0f} % of that of the straight
+The optimization leaves {100 * after / before:.0f} % of the error at the start ({100 * after / other:.0f} % of that of the straight
 seam, which starts better). With the same maps, a seam that may move changes the error from {held:.2f} to {after:.2f} mm.
 A vertex carried to its own shape is {free["floor"].mean():.2f} mm away from itself: the floor that splines and a grid of
 51 x 51 points set. Description length, {lengths}.
