@@ -186,7 +186,7 @@ The run with all stages: {seconds["periodic"]:.0f} s on two shared cores.
 """
 
 
-def draw_modes(folder: Path) -> None:
+def draw_modes(folder: Path, target: Path) -> None:
     """Draw the mean and three modes at minus and plus three standard deviations."""
     model = np.load(folder / "cohort" / "model" / "model.npz")
     mean, faces = model["mean"], model["faces"]
@@ -207,7 +207,7 @@ def draw_modes(folder: Path) -> None:
         panel.set_title(title, fontsize=9)
         panel.axis("off")
     figure.tight_layout()
-    figure.savefig(HERE / "figures" / "aorta_synth_modes.png", dpi=110)
+    figure.savefig(target, dpi=110)
     plt.close(figure)
 
 
@@ -222,7 +222,7 @@ def main() -> None:
     seconds = {name: run(work, name, options) for name, options in VARIANTS.items()}
     results = {name: measured(work / name, truth) for name in VARIANTS}
     draw(work, results, truth)
-    draw_modes(work / "periodic")
+    draw_modes(work / "periodic", HERE / "figures" / "aorta_synth_modes.png")
     (HERE / "aorta_synth.md").write_text(page(results, truth, seconds))
 
 

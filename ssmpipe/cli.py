@@ -36,9 +36,16 @@ class _Commands(click.Group):
         return [name for name in _registry().files() if name not in self.commands]
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        if (
+            name == "sample"
+        ):  # a stage by its name, too: `sample IN OUT` is the stage, `sample MODEL -o DIR` draws from a model
+            return _either(self.commands[name], self._stage_command(ctx, name))
         if name in self.commands:
             return self.commands[name]
-        if name in self._stages():
+        return self._stage_command(ctx, name)
+
+    def _stage_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        if name in _registry().files():
             from ssmpipe.runner.single import stage_command
 
             with _errors(ctx.find_root().params.get("debug", False)):
@@ -66,6 +73,25 @@ class _Commands(click.Group):
             if rows:
                 with formatter.section(title):
                     formatter.write_dl(rows)
+
+
+def _either(of_model: click.Command, of_stage: click.Command | None) -> click.Command:
+    """Return one command for both: that for models where an option names the output folder, else that of the stage."""
+    stage = of_stage or of_model
+
+    class Either(click.Command):
+        def make_context(
+            self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+        ) -> click.Context:
+            if "--help" in args or "-h" in args:
+                return super().make_context(info_name, args, parent, **extra)
+            names_folder = any(a.startswith("-o") or a.split("=")[0] == "--output" for a in args)
+            return (of_model if names_folder else stage).make_context(info_name, args, parent, **extra)
+
+        def get_help(self, ctx: click.Context) -> str:
+            return "\n\n".join(command.get_help(ctx) for command in (of_model, stage))
+
+    return Either("sample", callback=lambda: None, help=of_model.help)
 
 
 @contextmanager

@@ -76,3 +76,13 @@ def test_wrong_modes_are_refused(arguments: list[str], words: str, tmp_path: Pat
     assert done.exit_code == 2
     assert words in done.output
     assert not (tmp_path / "a").exists()
+
+
+def test_the_stage_of_the_same_name_stays_a_command(tmp_path: Path) -> None:
+    done = CliRunner().invoke(main, ["sample", str(tmp_path / "no.ply"), str(tmp_path / "out.npz"), "--grid", "[9,9]"])
+    assert done.exit_code == 3
+    assert "no.ply" in done.output
+    shown = CliRunner().invoke(main, ["sample", "--help"])
+    assert shown.exit_code == 0
+    assert "MODEL" in shown.output
+    assert "--grid" in shown.output

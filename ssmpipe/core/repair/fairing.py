@@ -40,8 +40,8 @@ def fair(
     --------
     >>> from ssmpipe.core.mesh.primitives import flat_square
     >>> flat = fair(flat_square(6), order="bilaplacian", cutoff=6.0)
-    >>> bool(np.allclose(flat.vertices, flat_square(6).vertices))
-    True
+    >>> float(np.abs(flat.vertices[:, 2]).max())
+    0.0
     """
     length = cutoff * mean_edge_length(mesh) / (2 * np.pi)
     # slivers make cotangents explode; those of the intrinsic Delaunay triangulation of the same surface are not negative
