@@ -139,7 +139,7 @@ PRESETS: Mapping[str, Preset] = {
             stages=(
                 ("repair", {"max_openings": 20}),
                 ("orient", {"mirror": "none", "frame": "principal"}),
-                ("fill-holes", {"keep_openings": 2, "opening_share": 0.5}),
+                ("fill-holes", {"keep_openings": 2, "opening_share": 0.5, "stump_reach_mm": 40.0}),
                 ("trim", {"ends": 2}),
                 ("smooth", {}),
                 ("decimate", {}),
