@@ -11,22 +11,24 @@ T = TypeVar("T")
 
 
 def map_blocks(function: Callable[[slice], T], n: int, size: int, threads: int = 1) -> list[T]:
-    """Return ``function`` of the consecutive slices of ``range(n)``, in order.
+    """Return ``function`` of consecutive slices of ``range(n)``, in order: nearly equal ones, an even number if more than one.
 
     Parameters
     ----------
     function : callable
         Of a slice; blocks must be independent of each other. With threads it pays where it releases the interpreter lock.
     n, size : int
-        Total and block length; neither may depend on ``threads`` if bits shall not.
+        Total and largest block length; neither may depend on ``threads`` if bits shall not.
     threads : int, default=1
 
     Examples
     --------
     >>> map_blocks(lambda s: sum(range(10)[s]), 10, 4)
-    [6, 22, 17]
+    [1, 9, 11, 24]
     """
-    slices = [slice(start, min(start + size, n)) for start in range(0, n, size)]
+    count = -(-n // size)
+    count += count % 2 if count > 1 else 0  # two threads then get the same
+    slices = [slice(n * k // count, n * (k + 1) // count) for k in range(count)]
     if threads <= 1 or len(slices) <= 1:
         return [function(s) for s in slices]
     out: dict[int, T] = {}

@@ -11,7 +11,9 @@ import scipy.linalg
 
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.blocks import map_blocks
+from ssmpipe.core.correspondence.passes import centre_and_scale, contract
 from ssmpipe.core.correspondence.spectral import SpectralFunction
+from ssmpipe.core.spline.evaluate import Evaluator
 
 CHOLESKY_FROM = 200
 """Number of shapes from which the log-determinant is computed without eigenvalues."""
@@ -81,65 +83,85 @@ def landmarks_per_block(n_shapes: int) -> int:
     return max(256, 16384 // n_shapes)
 
 
-def centre(points: Floats, threads: int = 1, out: Floats | None = None) -> Floats:
-    """Return (n_S, n_P, d) points minus their mean over the shapes, in the memory of ``out`` where given."""
-    if out is None:
-        out = np.empty_like(points)
-
-    def one(block: slice) -> None:
-        part = points[:, block]
-        np.subtract(part, part.mean(axis=0), out=out[:, block])
-
-    map_blocks(one, points.shape[1], landmarks_per_block(len(points)), threads)
-    return out
-
-
-def spectrum(centred: Floats, weights: Floats, threads: int = 1) -> Spectrum:
-    """Return the nonzero spectrum of ``Xc W Xc^T / (n_S - 1)`` (Li 2015, [1.20-1.22]).
+def centred_spectrum(
+    points: Floats, weights: Floats, *, threads: int = 1, evaluator: Evaluator = "numpy", out: Floats | None = None
+) -> tuple[Floats, Spectrum]:
+    """Return points minus their mean over the shapes, and the nonzero spectrum of ``Xc W Xc^T / (n_S - 1)`` (Li 2015, [1.20-1.22]).
 
     Parameters
     ----------
-    centred : (n_S, n_P, d) float64
-        Points minus their mean over the shapes.
+    points : (n_S, n_P, d) float64
     weights : (n_P,) float64
         Non-negative, sum 1.
     threads : int, default=1
         They share fixed blocks of landmarks, summed in order: any number gives the same bits.
+    evaluator : {"numpy", "numba"}, default="numpy"
+        Both give the same bits.
+    out : (n_S, n_P, d), optional
+        Memory of the centred points.
     """
-    n_shapes = len(centred)
-    root = np.sqrt(weights / (n_shapes - 1))[:, None]
+    n_shapes = len(points)
+    centred = np.empty(points.shape) if out is None else out
+    root = np.sqrt(weights / (n_shapes - 1))
 
     def one(block: slice) -> Floats:
-        flat = (centred[:, block] * root[block]).reshape(n_shapes, -1)
+        flat = centre_and_scale(points, root, centred, block, evaluator)
         return np.asarray(flat @ flat.T)
 
     gram = np.zeros((n_shapes, n_shapes))
-    for part in map_blocks(one, centred.shape[1], landmarks_per_block(n_shapes), threads):
+    for part in map_blocks(one, points.shape[1], landmarks_per_block(n_shapes), threads):
         gram += part
-    return Spectrum(gram)
+    return centred, Spectrum(gram)
 
 
-def spectral_adjoint(
-    centred: Floats, weights: Floats, slope_product: Callable[[Floats], Floats], block: slice = slice(None)
-) -> Floats:
-    """Return the derivative of ``sum phi(lambda_m)`` in some landmarks of all shapes, at fixed weights, (n_S, n, d).
+def spectral_adjoint(centred: Floats, weights: Floats, slope_product: Callable[[Floats], Floats]) -> Floats:
+    """Return the derivative of ``sum phi(lambda_m)`` in the landmarks of all shapes, at fixed weights, (n_S, n_P, d).
 
     It is the closed solution ``mu_m = phi'(lambda_m) v_m`` of the adjoint system [2.20].
 
     Parameters
     ----------
     centred, weights
-        As in :func:`spectrum`.
+        As in :func:`centred_spectrum`.
     slope_product : callable
         :meth:`Spectrum.slope_product`, or some rows of it.
-    block : slice, optional
-        Landmarks; all by default.
     """
     n_shapes = len(centred)
-    part = centred[:, block]
-    product = slope_product(part.reshape(n_shapes, -1)).reshape(-1, *part.shape[1:])
-    product *= (2.0 / (n_shapes - 1) * weights[block])[:, None]
+    product = slope_product(centred.reshape(n_shapes, -1)).reshape(-1, *centred.shape[1:])
+    product *= (2.0 / (n_shapes - 1) * weights)[:, None]
     return np.asarray(product)
+
+
+def parameter_adjoint(
+    centred: Floats,
+    weights: Floats,
+    slope_product: Callable[[Floats], Floats],
+    tangents: tuple[Floats, ...],
+    out: Floats,
+    *,
+    threads: int = 1,
+    evaluator: Evaluator = "numpy",
+) -> None:
+    """Write the derivative of ``sum phi(lambda_m)`` in the parameters of all landmarks: :func:`spectral_adjoint` along the tangents.
+
+    Parameters
+    ----------
+    centred, weights, slope_product
+        As in :func:`spectral_adjoint`.
+    tangents : d_par arrays of (n_S, n_P, d)
+    out : (n_S, d_par, n_P)
+        Is overwritten.
+    threads, evaluator
+        As in :func:`centred_spectrum`.
+    """
+    n_shapes, n_p, d = centred.shape
+    columns, factor = centred.reshape(n_shapes, -1), 2.0 / (n_shapes - 1) * weights
+
+    def one(block: slice) -> None:
+        forces = slope_product(columns[:, d * block.start : d * block.stop])
+        contract(forces, factor, tangents, out, block, evaluator)
+
+    map_blocks(one, n_p, landmarks_per_block(n_shapes), threads)
 
 
 def weight_adjoint(centred: Floats, d_gram: Floats) -> Floats:

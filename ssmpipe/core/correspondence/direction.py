@@ -87,8 +87,8 @@ class Direction:
         return np.asarray(np.linalg.lstsq(finer.matrix(nodes), self.matrix(nodes), rcond=None)[0])
 
 
-def apply_directions(matrices: tuple[Floats, ...], field: Floats) -> Floats:
-    """Apply one matrix per direction to the last axes of ``field``."""
+def apply_directions(matrices: tuple[Floats, ...], field: Floats, out: Floats | None = None) -> Floats:
+    """Apply one matrix per direction to the last axes of ``field``, into the memory of ``out`` where given."""
     if len(matrices) == 1:
-        return field @ matrices[0].T
-    return matrices[0] @ field @ matrices[1].T
+        return np.matmul(field, matrices[0].T, out=out)
+    return np.matmul(matrices[0] @ field, matrices[1].T, out=out)

@@ -15,10 +15,9 @@ from ssmpipe.core.blocks import map_blocks
 from ssmpipe.core.correspondence.barrier import Barrier
 from ssmpipe.core.correspondence.covariance import (
     Spectrum,
-    centre,
-    landmarks_per_block,
+    centred_spectrum,
+    parameter_adjoint,
     spectral_adjoint,
-    spectrum,
     weight_adjoint,
 )
 from ssmpipe.core.correspondence.exact_rule import ExactRule
@@ -31,10 +30,9 @@ from ssmpipe.core.correspondence.reparameterization import Reparameterization
 from ssmpipe.core.correspondence.spectral import SpectralFunction
 from ssmpipe.core.covariance.formulation_two import size_weights, size_weights_adjoint
 from ssmpipe.core.errors import GeometryError
-from ssmpipe.core.spline.evaluate import Jet, SplineStack
+from ssmpipe.core.spline.evaluate import SHAPES_PER_BLOCK, Jet, SplineStack
 
 Covariance = Literal["discrete", "I", "II"]
-_SHAPES_PER_BLOCK = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,6 +151,7 @@ class GroupObjective:
         if interpolate and guides is not None:
             self._interpolation = Interpolation(guides, self._free, self.moving)
         self._multipliers: Floats | None = None
+        self._parameters = np.empty(0)
         self._d_parameters = np.empty(0)
 
     # -- unknowns ------------------------------------------------------------------------------------------------------
@@ -204,14 +203,16 @@ class GroupObjective:
         second = self.covariance == "II"
         old = self._last[1] if self._last is not None else None
         self._last = None
-        shape = (self.stack.n_shapes, math.prod(space.grid), space.n_directions)
-        parameters = old.parameters if old is not None and old.parameters.shape == shape else np.empty(shape)
+        shape = (self.stack.n_shapes, space.n_directions, math.prod(space.grid))
+        if self._parameters.shape != shape:
+            self._parameters = np.empty(shape)
+        jet = self.stack.room(shape[2], second=second, reuse=old.jet if old is not None else None)
 
         def some(block: slice) -> None:
-            parameters[block] = space.evaluate(coefficients[block])
+            self.stack.evaluate_some(block, space.evaluate(coefficients[block], self._parameters[block]), jet)
 
-        map_blocks(some, self.stack.n_shapes, _SHAPES_PER_BLOCK, self.stack.threads)
-        jet = self.stack.evaluate(parameters, second=second, reuse=old.jet if old is not None else None)
+        map_blocks(some, self.stack.n_shapes, SHAPES_PER_BLOCK, self.stack.threads)
+        parameters = np.swapaxes(self._parameters, 1, 2)
         slopes: tuple[Floats, ...] = ()
         tangents: tuple[Floats, ...] = ()
         if second:
@@ -227,8 +228,13 @@ class GroupObjective:
             aligned = [align_to(p, self.target, weights) for p in jet.points]
             points, rotations = np.stack([a[0] for a in aligned]), np.stack([a[1] for a in aligned])
         fits = old is not None and old.centred.shape == points.shape
-        centred = centre(points, self.stack.threads, old.centred if old is not None and fits else None)
-        spec = spectrum(centred, weights, self.stack.threads)
+        centred, spec = centred_spectrum(
+            points,
+            weights,
+            threads=self.stack.threads,
+            evaluator=self.stack.evaluator,
+            out=old.centred if old is not None and fits else None,
+        )
         evaluation = Evaluation(space, parameters, jet, points, centred, rotations, slopes, weights, tangents, spec)
         self._last = (key, evaluation)
         return evaluation
@@ -255,15 +261,10 @@ class GroupObjective:
             d_tangents = size_weights_adjoint(self._base, evaluation.mean_tangents, d_weights)
             through = self._through_tangents(evaluation, d_tangents)
 
-        if self._d_parameters.shape != evaluation.parameters.shape:
-            self._d_parameters = np.empty(evaluation.parameters.shape)
-        d_parameters = self._d_parameters
+        if self._d_parameters.shape != self._parameters.shape:
+            self._d_parameters = np.empty(self._parameters.shape)
+        d_parameters = np.swapaxes(self._d_parameters, 1, 2)
         d_gram = evaluation.spectrum.slope(self.spectral) if self.target is not None else np.empty(0)
-
-        def by_landmarks(block: slice) -> None:
-            d_points = spectral_adjoint(centred, evaluation.weights, slope_product, block)
-            for c, tangent in enumerate(jet.first):
-                np.einsum("ild,ild->il", d_points, tangent[:, block], out=d_parameters[:, block, c])
 
         def by_shapes(block: slice) -> Floats:
             if self.target is not None:
@@ -281,8 +282,16 @@ class GroupObjective:
 
         threads = self.stack.threads
         if self.target is None:
-            map_blocks(by_landmarks, centred.shape[1], landmarks_per_block(len(centred)), threads)
-        blocks = map_blocks(by_shapes, self.stack.n_shapes, _SHAPES_PER_BLOCK, threads)
+            parameter_adjoint(
+                centred,
+                evaluation.weights,
+                slope_product,
+                jet.first,
+                self._d_parameters,
+                threads=threads,
+                evaluator=self.stack.evaluator,
+            )
+        blocks = map_blocks(by_shapes, self.stack.n_shapes, SHAPES_PER_BLOCK, threads)
         gradient = np.concatenate(blocks)[moving][:, self._free].ravel()
         return evaluation.spectrum.value(self.spectral), gradient
 
@@ -373,7 +382,7 @@ class GroupObjective:
             return block[:, free[:, None], free]
 
         tangents = tuple(t[moving] for t in self._posed(evaluation, evaluation.jet.first))
-        blocks = np.concatenate(map_blocks(own, len(moving), _SHAPES_PER_BLOCK, threads))
+        blocks = np.concatenate(map_blocks(own, len(moving), SHAPES_PER_BLOCK, threads))
         solve = gauss_newton_inverse(evaluation.space, coupling, evaluation.weights, tangents, blocks, threads)
         return lambda vector: self._keep_gauge(solve(vector))
 

@@ -95,16 +95,20 @@ class Reparameterization:
     def _displacement(self, coefficients: Floats) -> Floats:
         return np.moveaxis(coefficients - self._identity, -1, 1)
 
-    def evaluate(self, coefficients: Floats) -> Floats:
+    def evaluate(self, coefficients: Floats, out: Floats | None = None) -> Floats:
         """Return ``D_i(u_l)``: (n_S, *n_coefficients, d_par) coefficients to (n_S, n_P, d_par) parameters.
 
-        Directions that are not periodic are clipped to [0, 1]; this removes rounding only, for feasible maps.
+        Directions that are not periodic are clipped to [0, 1]; this removes rounding only, for feasible maps. The answer
+        lies in the memory of ``out`` where given, (n_S, d_par, n_P).
         """
-        values = self._at + apply_directions(self._basis, self._displacement(coefficients))
+        n = len(coefficients)
+        into = None if out is None else out.reshape(n, self.n_directions, *self.grid)
+        values = apply_directions(self._basis, self._displacement(coefficients), into)
+        values += self._at
         for axis, periodic in enumerate(self.periodic):
             if not periodic:
                 np.clip(values[:, axis], 0.0, 1.0, out=values[:, axis])
-        return np.moveaxis(values, 1, -1).reshape(len(coefficients), -1, self.n_directions)
+        return np.moveaxis(values.reshape(n, self.n_directions, -1), 1, -1)
 
     def slopes(self, coefficients: Floats) -> tuple[Floats, ...]:
         """Return ``dD_i/du_k`` at the nodes, one (n_S, n_P, d_par) array per direction k."""

@@ -196,16 +196,17 @@ def _surfaces_second(
 @cache
 def kernel(n_directions: int, second: bool) -> Callable[..., Any]:
     """Return a compiled kernel; compiled once per machine where numba finds a place for its cache."""
-    return _build(((_curves, _curves_second), (_surfaces, _surfaces_second))[n_directions - 1][second])
+    return build(((_curves, _curves_second), (_surfaces, _surfaces_second))[n_directions - 1][second])
 
 
 @cache
 def locator() -> Callable[..., Any]:
     """Return the compiled search for spans."""
-    return _build(_locate)
+    return build(_locate)
 
 
-def _build(function: Callable[..., None]) -> Callable[..., Any]:
+def build(function: Callable[..., None]) -> Callable[..., Any]:
+    """Return ``function`` compiled without lock and without reordered or fused operations."""
     import numba
 
     try:

@@ -23,7 +23,8 @@ from ssmpipe.core.spline.surface import BSplineSurface
 
 Spline: TypeAlias = BSplineCurve | BSplineSurface
 Evaluator = Literal["auto", "numpy", "numba"]
-_SHAPES_PER_BLOCK = 4
+SHAPES_PER_BLOCK = 4
+"""Few enough for the cache and for threads to share, many enough for one call."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,27 +172,37 @@ class SplineStack:
         reuse : Jet, optional
             A former answer whose memory may be overwritten; fresh memory costs as much time as the evaluation.
         """
+        jet = self.room(parameters.shape[1], second=second, reuse=reuse)
+        map_blocks(
+            lambda block: self.evaluate_some(block, parameters[block], jet),
+            self.n_shapes,
+            SHAPES_PER_BLOCK,
+            self.threads,
+        )
+        return jet
+
+    def room(self, n_points: int, *, second: bool = False, reuse: Jet | None = None) -> Jet:
+        """Return memory for :meth:`evaluate_some`, that of ``reuse`` if it fits."""
         n_d = self.n_directions
         count = 1 + n_d + (n_d * (n_d + 1) // 2 if second else 0)
-        shape = (self.n_shapes, parameters.shape[1], self.dimension)
+        shape = (self.n_shapes, n_points, self.dimension)
         out = [] if reuse is None else [reuse.points, *reuse.first, *reuse.second]
         if len(out) != count or out[0].shape != shape:
             out = [np.empty(shape) for _ in range(count)]
-
-        n_places = (n_d, *parameters.shape[:2])
+        n_places = (n_d, *shape[:2])
         if self.evaluator == "numba" and self._places[0].shape != n_places:
             self._places = np.empty(n_places, np.int64), np.empty(n_places)
-
-        def some(block: slice) -> None:
-            if self.evaluator == "numba":
-                self._evaluate_compiled(block, parameters[block], out, second)
-                return
-            for i in range(block.start, block.stop):
-                for target, values in zip(out, self._evaluate_one(i, parameters[i], second), strict=True):
-                    target[i] = values
-
-        map_blocks(some, self.n_shapes, _SHAPES_PER_BLOCK, self.threads)
         return Jet(out[0], tuple(out[1 : 1 + n_d]), tuple(out[1 + n_d :]))
+
+    def evaluate_some(self, block: slice, parameters: Floats, jet: Jet) -> None:
+        """Evaluate the splines of ``block`` at (n, n_P, d_par) parameters, into the memory of ``jet``, from :meth:`room`."""
+        out, second = [jet.points, *jet.first, *jet.second], bool(jet.second)
+        if self.evaluator == "numba":
+            self._evaluate_compiled(block, parameters, out, second)
+            return
+        for i, own in zip(range(block.start, block.stop), parameters, strict=True):
+            for target, values in zip(out, self._evaluate_one(i, own, second), strict=True):
+                target[i] = values
 
     def _locate_compiled(self, axis: int, block: slice, parameters: Floats) -> tuple[Ints, Floats, Floats]:
         """Return span index, local coordinate and 1 / span length, (n, n_P) each; in equal spans without new memory."""
