@@ -11,6 +11,7 @@ from ssmpipe.core.mesh.operators import area, volume
 from ssmpipe.core.mesh.topology import boundary_loops, genus
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.repair.cleaning import check_handles, check_openings, clean
+from ssmpipe.core.repair.handles import cut_handles
 
 
 class Config(StageConfig):
@@ -26,6 +27,14 @@ class Config(StageConfig):
         float,
         Field(ge=0, lt=0.5, description="A component with less than this share of the area is dropped as debris [-]."),
     ] = 0.02
+    max_handle_mm: Annotated[
+        float | None,
+        Field(
+            gt=0,
+            description="Handles with a loop no longer than this, bridges and tunnels, are cut and closed; by default every handle is "
+            "refused with its place [mm].",
+        ),
+    ] = None
     max_openings: Annotated[int, Field(ge=0, description="Number of boundary loops that a scan may have [count].")] = 1
 
 
@@ -34,6 +43,16 @@ def run(mesh: TriMesh, *, cfg: Config, ctx: Context) -> dict[str, Any]:
     cleaned = clean(mesh, debris_fraction=cfg.debris_fraction, components=cfg.components)
     result = cleaned.mesh
     check_openings(result, cfg.max_openings)
+    if cfg.max_handle_mm is not None:
+        result, handles = cut_handles(result, cfg.max_handle_mm)
+        ctx.metric("handles_cut", len(handles))
+        ctx.metric("handle_places_mm", [[round(c, 2) for c in cut.place] for cut in handles])
+        for cut in handles:
+            x, y, z = cut.place
+            ctx.warn(
+                f"a handle with a loop of {cut.length:.1f} mm at ({x:.1f}, {y:.1f}, {z:.1f}) mm was cut and closed, all within "
+                f"{cut.reach:.1f} mm of the loop was replaced; look at the place"
+            )
     check_handles(result)
     for name, count in cleaned.changes.items():
         ctx.metric(name, count)

@@ -64,6 +64,16 @@ class TestRepair:
         with pytest.raises(TopologyError, match=r"1 handle"):
             go(repair, mesh=torus())
 
+    def test_handles_are_cut_when_the_config_allows_it(self):
+        ring = torus(6.0, 1.0, 48, 12)
+        with pytest.raises(TopologyError, match=r"1 handle .*repair\.max_handle_mm"):
+            go(repair, mesh=ring, options={"max_handle_mm": 5.0})
+        outputs, ctx = go(repair, mesh=ring, options={"max_handle_mm": 8.0})
+        assert euler_characteristic(outputs["mesh"].faces) == 2
+        assert ctx.metrics["handles_cut"] == 1
+        assert np.hypot(*ctx.metrics["handle_places_mm"][0][:2]) == pytest.approx(6.0, abs=0.2)
+        assert "a handle with a loop of 6.2 mm" in ctx.warnings[0]
+
     @needs_vertebrae
     def test_vertebrae_are_refused(self):
         files = sorted((DATA / "vertebra_l1" / "scans").glob("*.ply"))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import igl
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -74,3 +77,11 @@ def outward(mesh: TriMesh) -> TriMesh:
     axis = 15.0 * np.column_stack([np.cos(along), np.zeros(len(along)), np.sin(along)])
     inwards = np.einsum("ij,ij->i", normal, center - axis).sum() < 0
     return TriMesh(mesh.vertices, mesh.faces[:, ::-1] if inwards else mesh.faces)
+
+
+def implicit_surface(function: Callable[[np.ndarray], np.ndarray], reach: float, n: int) -> TriMesh:
+    """Return where a function of points (k, 3) vanishes within a cube about the origin, positive outside; n^3 cells."""
+    t = np.linspace(-reach, reach, n)
+    grid = np.stack(np.meshgrid(t, t, t, indexing="ij"), axis=-1).reshape(-1, 3)
+    vertices, faces, _ = igl.marching_cubes(function(grid), grid[:, [0, 1, 2]], n, n, n, 0.0)
+    return TriMesh(vertices, faces)

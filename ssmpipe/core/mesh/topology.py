@@ -185,34 +185,53 @@ def split_edges(mesh: TriMesh, edges: Ints, points: Floats) -> TriMesh:
     return TriMesh(np.vstack([mesh.vertices, points]), np.vstack(pieces))
 
 
-def handle_loop(mesh: TriMesh, n_rounds: int = 4) -> Floats | None:
+def handle_loop(mesh: TriMesh, n_rounds: int = 4, avoid: Ints | None = None, n_generators: int = 4) -> Ints | None:
     """Find a short closed curve that does not bound: it runs around or through a handle.
 
     Tree-cotree decomposition (Eppstein 2003; Erickson and Whittlesey 2005): shortest paths from a root, a maximal
-    spanning tree of the dual graph over the edges that are left; every edge in neither closes a generator. The
-    shortest generator is taken and the search repeated from its vertex farthest from the root.
+    spanning tree of the dual graph over the edges that are left; every edge in neither closes a generator. From the few
+    shortest generators, without the way from the root to them, the search is repeated: the new root is the vertex farthest
+    from the old one.
 
     Parameters
     ----------
     mesh : TriMesh
         Closed manifold mesh of one component.
+    n_rounds : int
+        Searches per generator.
+    avoid : (n,) int64, optional
+        Vertices that the curve passes only when there is no other way.
+    n_generators : int
+        Generators of the first search that are followed; two belong to every handle.
 
     Returns
     -------
-    (n, 3) float64 or None
-        Vertices of the loop [mm]; None when there is no handle.
+    (n,) int64 or None
+        Vertices of the loop; None when there is no handle.
+
+    Examples
+    --------
+    >>> from ssmpipe.core.mesh.primitives import torus
+    >>> ring = torus(3.0, 1.0)
+    >>> round(loop_length(ring, handle_loop(ring)), 1)
+    6.3
     """
     edges = unique_edges(mesh.faces)
     length = edge_lengths(mesh, edges.vertices)
     i, j = edges.vertices.T
     n = mesh.n_vertices
+    if avoid is not None:
+        heavy = np.zeros(n, dtype=bool)
+        heavy[avoid] = True
+        length = np.where(heavy[i] | heavy[j], length + length.sum(), length)
     graph = sparse.csr_matrix((np.r_[length, length], (np.r_[i, j], np.r_[j, i])), shape=(n, n))
     order = np.argsort(edges.of_face.ravel(), kind="stable")
     inner = np.flatnonzero(edges.n_faces == 2)
     start = np.concatenate([[0], np.cumsum(edges.n_faces)])[inner]
     left, right = order[start] // 3, order[start + 1] // 3
-    root, best = int(mesh.faces[0, 0]), None
-    for _ in range(n_rounds):
+
+    def loops_at(root: int) -> list[tuple[float, Ints, int]]:
+        """Return length, vertices, and the vertex farthest from the root, of one loop per generator; the shortest first."""
         distance, parent = csgraph.dijkstra(graph, indices=np.array(root), return_predecessors=True)
         in_tree = (parent[i] == j) | (parent[j] == i)
         free = ~in_tree[inner]
@@ -222,19 +241,30 @@ def handle_loop(mesh: TriMesh, n_rounds: int = 4) -> Floats | None:
         tree = csgraph.minimum_spanning_tree(dual).tocoo()
         taken = np.minimum(tree.row, tree.col).astype(np.int64) * mesh.n_faces + np.maximum(tree.row, tree.col)
         rest = free & ~np.isin(np.minimum(left, right) * mesh.n_faces + np.maximum(left, right), taken)
-        if not rest.any():
-            return None if best is None else mesh.vertices[best]
-        edge = inner[np.flatnonzero(rest)[np.argmin(through[rest])]]
-        loop = _loop_through(parent.ravel().astype(np.int64), root, int(i[edge]), int(j[edge]))
-        if best is not None and loop_length(mesh, loop) >= loop_length(mesh, best) * (1 - 1e-9):
-            break
-        best = loop
-        root = int(loop[np.argmax(distance[loop])])
-    return None if best is None else mesh.vertices[best]
+        loops = []
+        for edge in inner[np.flatnonzero(rest)]:
+            loop, meeting = _loop_through(parent.ravel().astype(np.int64), root, int(i[edge]), int(j[edge]))
+            size = float(distance[i[edge]] + distance[j[edge]] + length[edge] - 2 * distance[meeting])
+            loops.append((size, loop, int(loop[np.argmax(distance[loop])])))
+        return sorted(loops, key=lambda found: found[0])
+
+    best, shortest = None, np.inf
+    for size, loop, root in loops_at(int(mesh.faces[0, 0]))[:n_generators]:
+        if size < shortest:
+            best, shortest = loop, size
+        now = size
+        for _ in range(n_rounds - 1):
+            nearer, loop, root = loops_at(root)[0]
+            if nearer >= now * (1 - 1e-9):
+                break
+            now = nearer
+            if now < shortest:
+                best, shortest = loop, now
+    return best
 
 
-def _loop_through(parent: Ints, root: int, a: int, b: int) -> Ints:
-    """Return the tree paths from a and b to where they meet, joined to a loop."""
+def _loop_through(parent: Ints, root: int, a: int, b: int) -> tuple[Ints, int]:
+    """Return the tree paths from a and b to where they meet, joined to a loop, and the vertex where they meet."""
     paths = []
     for at in (a, b):
         path = [at]
@@ -245,7 +275,7 @@ def _loop_through(parent: Ints, root: int, a: int, b: int) -> Ints:
     up, down = paths
     while len(up) > 1 and len(down) > 1 and up[-2] == down[-2]:
         up, down = up[:-1], down[:-1]
-    return np.array(up + down[-2::-1])
+    return np.array(up + down[-2::-1]), int(up[-1])
 
 
 def is_edge_manifold(faces: Ints) -> bool:

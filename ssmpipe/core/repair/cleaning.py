@@ -303,15 +303,17 @@ def check_handles(mesh: TriMesh) -> None:
     n_handles = (2 - len(loops) - chi) // 2
     if n_handles == 0:
         return
-    curve = handle_loop(close_openings(mesh))
+    closed = close_openings(mesh)
+    loop = handle_loop(closed)
     where = ""
-    if curve is not None:
-        x, y, z = curve.mean(axis=0)
-        length = float(np.linalg.norm(curve - np.roll(curve, 1, axis=0), axis=1).sum())
+    if loop is not None:
+        x, y, z = closed.vertices[loop].mean(axis=0)
+        length = loop_length(closed, loop)
         where = f"; a loop of {length:.1f} mm around one lies at ({x:.1f}, {y:.1f}, {z:.1f}) mm"
     raise TopologyError(
         f"the surface has {n_handles} handle{'s' if n_handles > 1 else ''} (genus {n_handles}), it must have none{where}",
-        "close the hole or cut the bridge in the segmentation; anatomy with a true hole (a vertebra) is beyond this method",
+        "close the hole or cut the bridge in the segmentation, or allow it with repair.max_handle_mm; anatomy with a true hole "
+        "(a vertebra) is beyond this method",
     )
 
 
