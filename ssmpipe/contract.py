@@ -43,6 +43,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from ssmpipe.core.arrays import Floats
+from ssmpipe.core.checkpoints import Checkpoints
 from ssmpipe.core.errors import LandmarkError
 
 Scope = Literal["shape", "cohort"]
@@ -160,6 +161,8 @@ class Context:
     warnings : list of str
     progress : callable
         ``progress(done, total, text)``; shown as a bar on a terminal.
+    checkpoints : Checkpoints, optional
+        For long group stages: where their state goes, and the state to continue from.
     """
 
     shape_id: str
@@ -168,6 +171,7 @@ class Context:
     metrics: dict[str, Any] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     progress: Callable[[int, int, str], None] = field(default=lambda done, total, text: None)
+    checkpoints: Checkpoints | None = None
 
     def metric(self, name: str, value: Any) -> None:
         """Record a number (or short text, or list) for the manifest and the report."""

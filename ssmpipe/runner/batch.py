@@ -25,7 +25,8 @@ from typing import Any
 from filelock import FileLock
 
 from ssmpipe.core.errors import SsmpipeError
-from ssmpipe.runner.execute import DiskError, TaskRecord, failure_of, run_task, write_atomically
+from ssmpipe.runner.disk import DiskError, write_atomically
+from ssmpipe.runner.execute import TaskRecord, failure_of, run_task
 from ssmpipe.runner.workspace import Workspace
 
 FAILED = "failed.txt"
@@ -54,6 +55,8 @@ class Job:
     prepare: bool = False
     lock: Path | None = None
     """Held during the job, where several runs share a folder: one waits for the other and then finds the work done."""
+    checkpoint_every: int | None = None
+    """Iterations between two saved states of a group stage."""
 
     @property
     def key(self) -> str:
@@ -125,6 +128,7 @@ def _run_job(job: Job, events: Path, memory_mb: int | None) -> Outcome:
                 progress=tell.progress(step_id),
                 scans=scans,
                 started=lambda step_id=step_id: tell("start", step_id),  # type: ignore[misc]
+                checkpoint_every=job.checkpoint_every,
             )
             records.append(record)
             tell("done", step_id, text=record.status)

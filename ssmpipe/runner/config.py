@@ -68,7 +68,7 @@ class InputConfig(_Section):
 
 
 class LimitsConfig(_Section):
-    """Limits of one child process."""
+    """Limits of one child process, and how much work a killed one may lose."""
 
     timeout_s: Annotated[
         float | None, Field(gt=0, description="Longest time for the per-shape stages of one shape [s]; null: no limit.")
@@ -76,6 +76,10 @@ class LimitsConfig(_Section):
     memory_mb: Annotated[
         int | None, Field(ge=256, description="Largest address space of one child process [MB]; null: no limit.")
     ] = None
+    checkpoint_every: Annotated[
+        int | None,
+        Field(ge=1, description="Iterations of the group optimization between two saved states; null: none is saved."),
+    ] = 10
 
 
 class RunConfig(_Section):

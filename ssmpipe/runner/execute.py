@@ -6,7 +6,6 @@ renamed into place with its manifest in it.
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import json
 import logging
@@ -25,10 +24,13 @@ from typing import Any
 import numpy as np
 
 from ssmpipe.contract import Context, Port, Stage
+from ssmpipe.core.checkpoints import Checkpoints
 from ssmpipe.core.errors import SsmpipeError
 from ssmpipe.io.codecs import load_artifact, save_artifact, to_plain
 from ssmpipe.io.meshes import read_mesh
 from ssmpipe.io.outlines import read_outline
+from ssmpipe.runner.checkpoint import CheckpointFile, Found
+from ssmpipe.runner.disk import disk_errors, flush
 from ssmpipe.runner.fingerprint import VOLATILE, file_digest
 from ssmpipe.runner.manifest import FILE, Manifest, Output
 from ssmpipe.runner.plan import SCAN, PlannedStep, Producer
@@ -39,10 +41,6 @@ from ssmpipe.runner.workspace import Workspace
 TIMING = "timing.json"
 LOG = "log.txt"
 Progress = Callable[[int, int, str], None]
-
-
-class DiskError(OSError):
-    """The output folder cannot be written: nothing a stage or a patient is to blame for."""
 
 
 class StageContractError(Exception):
@@ -95,6 +93,7 @@ def run_task(
     progress: Progress | None = None,
     scans: dict[str, dict[str, Any]] | None = None,
     started: Callable[[], None] | None = None,
+    checkpoint_every: int | None = None,
 ) -> TaskRecord:
     """Run a task if it has to be run.
 
@@ -115,6 +114,8 @@ def run_task(
         Scans read so far, filled here.
     started : callable, optional
         Called when it is clear that the task has to run.
+    checkpoint_every : int, optional
+        Iterations between two states that a group stage saves; without it none is saved.
 
     Raises
     ------
@@ -135,12 +136,16 @@ def run_task(
     if started is not None:
         started()
     begin, clock = time.time(), time.perf_counter()
+    saved = CheckpointFile(workspace.out, step.id, request, versions())
+    found = saved.find(force=force) if shape is None and not prepare else Found()
     _reset_peak()
     with _scratch(workspace.scratch, f"{shape or 'cohort'}-{step.folder}") as aside:
         with _logger(aside / LOG, f"{shape or 'cohort'}/{step.id}") as log:
             ctx = Context(shape_id=shape or "", rng=make_rng(workspace.seed, shape, step.id), log=log)
             if progress is not None:
                 ctx.progress = progress
+            if shape is None and not prepare and checkpoint_every is not None:
+                ctx.checkpoints = Checkpoints(saved.save, checkpoint_every, found.state)
             stage = workspace.registry.load(step.stage).suiting([s for s, p in step.inputs.items() if p is not None])
             cfg = stage.config.model_validate_json(json.dumps(_stage_options(step)))
             artifacts = _inputs(
@@ -165,10 +170,14 @@ def run_task(
         )
         seconds, peak = time.perf_counter() - clock, peak_rss_mb()
         record = {"start": _iso(begin), "seconds": round(seconds, 3), "peak_rss_mb": peak, **timing}
+        if found.line:
+            record["checkpoint"] = found.line
         with disk_errors():
             (aside / TIMING).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
             manifest.write(aside / FILE)
             publish(aside, folder)
+    if shape is None and not prepare:
+        saved.remove()
     workspace.forget()
     return TaskRecord(
         step.id, shape, "done", decision.reason, request.fingerprint, metrics, tuple(ctx.warnings), seconds, peak
@@ -286,17 +295,6 @@ def _origin(workspace: Workspace, producer: Producer, shape: str | None) -> str:
 
 
 @contextmanager
-def disk_errors() -> Iterator[None]:
-    """Turn the failure to write into DiskError, so that no shape is blamed for a full disk."""
-    try:
-        yield
-    except OSError as error:
-        if isinstance(error, DiskError):
-            raise
-        raise DiskError(error.errno or errno.EIO, error.strerror or str(error), error.filename) from error
-
-
-@contextmanager
 def _scratch(parent: Path, name: str) -> Iterator[Path]:
     with disk_errors():
         parent.mkdir(parents=True, exist_ok=True)
@@ -333,30 +331,6 @@ def publish(aside: Path, folder: Path) -> None:
     os.rename(aside, folder)
     flush(folder.parent)
     shutil.rmtree(old, ignore_errors=True)
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Write a text file so that a reader sees the old content or the new one, never a part."""
-    with disk_errors():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        aside = path.with_name(f".{path.name}.{os.getpid()}")
-        try:
-            aside.write_text(text, encoding="utf-8")
-            flush(aside)
-            os.replace(aside, path)
-        finally:
-            aside.unlink(missing_ok=True)
-
-
-def flush(path: Path) -> None:
-    """Make sure that a file, or the entries of a folder, are on the disk."""
-    if os.name == "nt" and path.is_dir():
-        return
-    handle = os.open(path, os.O_RDONLY if os.name != "nt" else os.O_RDWR)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 @lru_cache

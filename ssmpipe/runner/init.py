@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ssmpipe.core.errors import ConfigError
 from ssmpipe.runner.config import variant_stages
-from ssmpipe.runner.execute import write_atomically
+from ssmpipe.runner.disk import write_atomically
 from ssmpipe.runner.presets import Preset, find_preset
 from ssmpipe.runner.registry import Registry
 from ssmpipe.runner.sources import IMAGE_SUFFIXES, KINDS, OUTLINE_SUFFIXES, by_id, scan_files

@@ -14,7 +14,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from ssmpipe.core.errors import SsmpipeError
-from ssmpipe.runner.execute import disk_errors
+from ssmpipe.runner.disk import disk_errors
 
 LOCK = ".lock"
 

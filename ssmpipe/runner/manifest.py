@@ -139,19 +139,24 @@ def decide(manifest: Manifest | None, request: Request, folder: Path, *, force: 
         return Decision(True, "first run")
     if force:
         return Decision(True, "forced")
-    old = manifest.request
-    if (old.stage, old.version) != (request.stage, request.version):
-        return Decision(True, f"stage version changed: {old.version} -> {request.version}")
-    keys = _changed(old.config, request.config)
-    if keys:
-        return Decision(True, f"config changed: {', '.join(keys)}")
-    if old.seed != request.seed:
-        return Decision(True, f"seed changed: {old.seed} -> {request.seed}")
-    slots = _changed(old.inputs, request.inputs)
-    if slots:
-        return Decision(True, f"input changed: {', '.join(slots)}")
+    difference = changes(manifest.request, request)
+    if difference:
+        return Decision(True, difference)
     damage = damaged_outputs(manifest, folder)
     return Decision(True, damage) if damage else UP_TO_DATE
+
+
+def changes(old: Request, new: Request) -> str:
+    """Return what is different in the first of version, config, seed and inputs that differ; empty when nothing is."""
+    if (old.stage, old.version) != (new.stage, new.version):
+        return f"stage version changed: {old.version} -> {new.version}"
+    keys = _changed(old.config, new.config)
+    if keys:
+        return f"config changed: {', '.join(keys)}"
+    if old.seed != new.seed:
+        return f"seed changed: {old.seed} -> {new.seed}"
+    slots = _changed(old.inputs, new.inputs)
+    return f"input changed: {', '.join(slots)}" if slots else ""
 
 
 def _changed(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:

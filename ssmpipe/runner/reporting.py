@@ -11,7 +11,8 @@ from ssmpipe.contract import Context, Port, Stage, StageConfig
 from ssmpipe.core.errors import SsmpipeError
 from ssmpipe.io.codecs import load_artifact
 from ssmpipe.runner.config import Project
-from ssmpipe.runner.execute import TaskRecord, disk_errors, versions, write_atomically
+from ssmpipe.runner.disk import disk_errors, write_atomically
+from ssmpipe.runner.execute import TaskRecord, versions
 from ssmpipe.runner.fingerprint import digest, file_digest
 from ssmpipe.runner.manifest import FILE, Decision, Manifest, Output, Request, decide
 from ssmpipe.runner.plan import PlannedStep

@@ -14,9 +14,11 @@ from typing import Any
 
 from ssmpipe.core.errors import ConfigError, SsmpipeError
 from ssmpipe.runner.batch import COHORT, Batch, Failure, Job, Outcome
+from ssmpipe.runner.checkpoint import CheckpointFile
 from ssmpipe.runner.config import Project, RunConfig
 from ssmpipe.runner.console import Console
-from ssmpipe.runner.execute import DiskError, TaskRecord, disk_errors, write_atomically
+from ssmpipe.runner.disk import DiskError, disk_errors, write_atomically
+from ssmpipe.runner.execute import TaskRecord, versions
 from ssmpipe.runner.lock import locked
 from ssmpipe.runner.plan import SCAN, PlannedStep, segments, select
 from ssmpipe.runner.record import read_failures, run_record, write_failures
@@ -411,7 +413,9 @@ class _Run:
         if short:
             self._stop(f"'{step.id}' was not run: {short}", QUARANTINED)
         else:
-            self._group_job(batch, Job(self.workspace.only(ids), (step.id,), None, tuple(ids), self.chosen.forced))
+            every = self.project.config.limits.checkpoint_every
+            only = self.workspace.only(ids)
+            self._group_job(batch, Job(only, (step.id,), None, tuple(ids), self.chosen.forced, checkpoint_every=every))
 
     def _group_job(self, batch: Batch, job: Job) -> None:
         step = self.project.plan.step(job.steps[0])
@@ -427,10 +431,15 @@ class _Run:
         if not decision.run:
             if not job.prepare:
                 self._note_current(step.id, "")
+                self._checkpoint(step, job).remove()
             self.console.say(f"{name}: up to date")
             return
         self.console.begin(name, 1)
         self.console.say(f"  {name}: {decision.reason}", level=2)
+        if not job.prepare:
+            found = self._checkpoint(step, job).find(force=step.id in self.chosen.forced)
+            if found.line:
+                self.console.say(f"{name}: {found.line}")
 
         def finished(job: Job, outcome: Outcome) -> None:
             self._take(outcome)
@@ -446,6 +455,10 @@ class _Run:
         self.workspace.forget()
         if job.prepare:
             self.records.pop((step.id, None), None)
+
+    def _checkpoint(self, step: PlannedStep, job: Job) -> CheckpointFile:
+        request = self.workspace.request(step, None, job.ids)
+        return CheckpointFile(self.project.out, step.id, request, versions())
 
     # --- bookkeeping ---
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -10,6 +11,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from ssmpipe.contract import Context, Landmarks, NamesShape, Port, Stage, StageConfig, Table
 from ssmpipe.core.arrays import Floats, Ints
+from ssmpipe.core.checkpoints import Checkpoints
 from ssmpipe.core.correspondence.correspondence import Correspondence
 from ssmpipe.core.correspondence.optimize import EngineOptions, Optimum, optimize_correspondence
 from ssmpipe.core.errors import ConfigError
@@ -208,7 +210,12 @@ def run(
         text = f"description length {row['description_length']:.3f}, smallest Jacobian bound {row['min_jacobian']:.3f}"
         ctx.progress(int(row["iteration"]), _expected(cfg), text)
 
-    result = optimize_correspondence(splines, options, guides=_guides(cfg.guides, ids, landmarks), record=record)
+    checkpoints = _timed(ctx.checkpoints, elapsed)
+    if elapsed:
+        start -= elapsed[-1]  # the time of the run that is continued counts
+    result = optimize_correspondence(
+        splines, options, guides=_guides(cfg.guides, ids, landmarks), record=record, checkpoints=checkpoints
+    )
     optimum = result.value
     if result.status == "out-of-iterations":
         ctx.warn(
@@ -255,6 +262,16 @@ def run(
         "history": Table(columns, comment),
         "corresponded": _corresponded(correspondence),
     }
+
+
+def _timed(checkpoints: Checkpoints | None, elapsed: list[float]) -> Checkpoints | None:
+    """Return checkpoints that hold the times of the history as well; ``elapsed`` gets those of the state to continue from."""
+    if checkpoints is None:
+        return None
+    if checkpoints.resume is not None:
+        elapsed.extend(float(t) for t in checkpoints.resume["elapsed_s"])
+    save = checkpoints.save
+    return replace(checkpoints, save=lambda state: save({**state, "elapsed_s": np.array(elapsed)}))
 
 
 def _topology(ids: tuple[str, ...], splines: list[Spline]) -> str:

@@ -18,7 +18,8 @@ from ssmpipe.io.meshes import read_mesh, write_mesh
 from ssmpipe.runner.batch import Job, run_job
 from ssmpipe.runner.config import Project
 from ssmpipe.runner.console import Console
-from ssmpipe.runner.execute import DiskError, run_task
+from ssmpipe.runner.disk import DiskError
+from ssmpipe.runner.execute import run_task
 from ssmpipe.runner.lock import LockHeldError, locked
 from ssmpipe.runner.manifest import read_manifest
 from ssmpipe.runner.run import RunOptions, RunResult, dry_run, make_workspace, run_project

@@ -356,6 +356,14 @@ class GroupObjective:
             first, _ = self.jacobian.along(moving, self._direction(direction), current)
             self._multipliers = self.constraint.followed(current, first, self._multipliers_at(current), self.barrier)
 
+    def memory(self) -> Floats | None:
+        """Return the multipliers that followed the steps, None before the first one."""
+        return self._multipliers
+
+    def recall(self, memory: Floats | None) -> None:
+        """Set the multipliers, to continue where they were returned."""
+        self._multipliers = memory
+
     def _multipliers_at(self, jacobians: Floats) -> Floats:
         """Return the multipliers that followed the steps; before the first step those of the barrier."""
         return self.barrier * self.constraint.multipliers(jacobians) if self._multipliers is None else self._multipliers

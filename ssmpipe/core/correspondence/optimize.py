@@ -13,6 +13,7 @@ import numpy as np
 from ssmpipe.core.align.affine import affine_to_mean
 from ssmpipe.core.align.procrustes import Alignment, generalized_procrustes
 from ssmpipe.core.arrays import Floats
+from ssmpipe.core.checkpoints import Checkpoints
 from ssmpipe.core.correspondence.barrier import Aggregate, Barrier
 from ssmpipe.core.correspondence.certificate import Certificate, certify
 from ssmpipe.core.correspondence.direction import apply_directions
@@ -21,13 +22,14 @@ from ssmpipe.core.correspondence.gauss_newton import FACTORED_UNKNOWNS
 from ssmpipe.core.correspondence.guides import Guides
 from ssmpipe.core.correspondence.interpolation import Interpolation
 from ssmpipe.core.correspondence.jacobian import Jacobian, JacobianForm
+from ssmpipe.core.correspondence.journal import Journal
 from ssmpipe.core.correspondence.measure import Quadrature, grid_size_weights, landmark_rule
 from ssmpipe.core.correspondence.objective import Covariance, GroupObjective
 from ssmpipe.core.correspondence.reparameterization import Boundary, Reparameterization
 from ssmpipe.core.correspondence.sensitivity import direct_gradient, finite_difference_gradient
 from ssmpipe.core.correspondence.spectral import Objective, spectral_function
 from ssmpipe.core.errors import FoldoverError, GeometryError, LandmarkError
-from ssmpipe.core.optim.interior import DescentOptions, minimize_interior
+from ssmpipe.core.optim.interior import DescentOptions
 from ssmpipe.core.result import Result, Status
 from ssmpipe.core.spline.curve import BSplineCurve
 from ssmpipe.core.spline.evaluate import Spline, SplineStack
@@ -204,6 +206,7 @@ def optimize_correspondence(
     *,
     guides: Sequence[Mapping[str, Floats]] | None = None,
     record: Callable[[dict[str, float]], None] | None = None,
+    checkpoints: Checkpoints | None = None,
 ) -> Result[Optimum]:
     """Find the reparameterizations of a cohort that minimize its description length (Li 2015, ch. 2).
 
@@ -217,6 +220,9 @@ def optimize_correspondence(
     record : callable, optional
         Called after every iteration with ``iteration, description_length, max_constraint, min_jacobian``;
         ``max_constraint`` is the constraint of the barrier and is never positive.
+    checkpoints : Checkpoints, optional
+        Where the state goes every few iterations, and the state to continue from: result and history are the same to the bit as
+        without a break. Iterations before that state are not recorded again.
 
     Returns
     -------
@@ -234,7 +240,7 @@ def optimize_correspondence(
     if len(splines) < 2:
         raise GeometryError(f"correspondence needs at least two shapes, got {len(splines)}")
     cohort = _Cohort(splines, opts, guides)
-    recorder = _Recorder(record)
+    recorder = _Recorder(record, Journal(checkpoints))
     reparameterization = cohort.space(opts.n_coefficients)
     levels = _levels(reparameterization) if opts.coarse_to_fine else []
     coefficients = np.repeat(
@@ -361,7 +367,7 @@ class _Cohort:
             objective.barrier = barrier
             last = k == len(barriers) - 1
             decrease = self.opts.relative_decrease if last else max(self.opts.relative_decrease, _EARLY_DECREASE)
-            result = minimize_interior(
+            result = recorder.journal.descend(
                 objective,
                 x,
                 DescentOptions(
@@ -369,7 +375,7 @@ class _Cohort:
                     relative_decrease=decrease,
                     method=self._method(x.size, barrier, last),
                 ),
-                callback=partial(recorder.note_iteration, objective),
+                partial(recorder.note_iteration, objective),
             )
             x, status = result.value, result.status
             recorder.n_iterations += result.n_iterations
@@ -536,9 +542,10 @@ class _Cohort:
 class _Recorder:
     """Collects the history rows and hands each one on."""
 
-    def __init__(self, record: Callable[[dict[str, float]], None] | None) -> None:
+    def __init__(self, record: Callable[[dict[str, float]], None] | None, journal: Journal) -> None:
         self._record = record
-        self._rows: list[dict[str, float]] = []
+        self.journal = journal
+        self._rows = journal.rows
         self.n_iterations = 0
         self.n_evaluations = 0
 

@@ -14,6 +14,7 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 
 from ssmpipe.core.arrays import Floats
+from ssmpipe.core.optim.state import DescentState
 from ssmpipe.core.result import Result, Status
 
 
@@ -39,6 +40,17 @@ class CurvedProblem(InteriorProblem, Protocol):
 
     def hessian(self, x: Floats) -> Callable[[Floats], Floats]:
         """Return the product of the second derivative at ``x`` with a vector; it may be indefinite."""
+
+
+@runtime_checkable
+class RememberingProblem(InteriorProblem, Protocol):
+    """A function whose preconditioner or second derivative depends on more than ``x``: on the steps before, say."""
+
+    def memory(self) -> Floats | None:
+        """Return what is remembered; the array is not changed afterwards."""
+
+    def recall(self, memory: Floats | None) -> None:
+        """Remember that instead."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +95,8 @@ def minimize_interior(
     options: DescentOptions | None = None,
     *,
     callback: Callable[[int, Floats, float, Floats], None] | None = None,
+    resume: DescentState | None = None,
+    checkpoint: Callable[[DescentState], None] | None = None,
 ) -> Result[Floats]:
     """Minimize with a feasible backtracking line search (Nocedal and Wright 2006, ch. 7 and 19).
 
@@ -97,6 +111,10 @@ def minimize_interior(
     options : DescentOptions, optional
     callback : callable, optional
         ``callback(iteration, x, value, gradient)`` after every accepted step.
+    resume : DescentState, optional
+        Continue from there, to the same bits as without a break; ``x0`` is not looked at.
+    checkpoint : callable, optional
+        Gets the state after every accepted step but the last.
 
     Returns
     -------
@@ -104,20 +122,29 @@ def minimize_interior(
         ``history["value"]`` starts with the value at ``x0``; it never increases.
     """
     opts = options or DescentOptions()
-    x = x0.copy()
-    value, gradient = problem.value_and_gradient(x)
-    values = [value]
     pairs: deque[tuple[Floats, Floats, float]] = deque(maxlen=opts.memory)
     apply_inverse: Callable[[Floats], Floats] | None = None
-    age = 0
-    small = 0
-    n_evaluations = 1
+    built_at, built_with = x0, _memory(problem)
+    if resume is None:
+        x = x0.copy()
+        value, gradient = problem.value_and_gradient(x)
+        values = [value]
+        age, small, n_evaluations = 0, 0, 1
+    else:
+        x, gradient, values = resume.x, resume.gradient, list(resume.values)
+        value, age, small, n_evaluations = values[-1], resume.age, resume.small, resume.n_evaluations
+        pairs.extend(resume.pairs)
+        built_at, built_with = resume.built_at, resume.built_with
+        _recall(problem, built_with)
+        apply_inverse = problem.preconditioner(built_at)
+        _recall(problem, resume.memory)
     status: Status = "out-of-iterations"
-    iteration = 0
+    iteration = len(values) - 1
     newton = opts.method == "newton"
     while iteration < opts.max_iterations:
         if apply_inverse is None or age >= (opts.newton_refresh if newton else opts.refresh):
             apply_inverse = problem.preconditioner(x)
+            built_at, built_with = x, _memory(problem)
             age = 0
         if newton:
             assert isinstance(problem, CurvedProblem)
@@ -167,7 +194,23 @@ def minimize_interior(
         if small >= 2:
             status = "converged"
             break
+        if checkpoint is not None and iteration < opts.max_iterations:
+            now = _memory(problem)
+            checkpoint(
+                DescentState(
+                    x, gradient, tuple(values), tuple(pairs), age, small, n_evaluations, built_at, now, built_with
+                )
+            )
     return Result(x, status, iteration, n_evaluations, {"value": np.array(values)})
+
+
+def _memory(problem: InteriorProblem) -> Floats | None:
+    return problem.memory() if isinstance(problem, RememberingProblem) else None
+
+
+def _recall(problem: InteriorProblem, memory: Floats | None) -> None:
+    if isinstance(problem, RememberingProblem):
+        problem.recall(memory)
 
 
 def _newton_direction(

@@ -1,0 +1,48 @@
+"""Writing so that a reader never sees a part, and a full disk is told from a bad patient."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+class DiskError(OSError):
+    """The output folder cannot be written: nothing a stage or a patient is to blame for."""
+
+
+@contextmanager
+def disk_errors() -> Iterator[None]:
+    """Turn the failure to write into DiskError, so that no shape is blamed for a full disk."""
+    try:
+        yield
+    except OSError as error:
+        if isinstance(error, DiskError):
+            raise
+        raise DiskError(error.errno or errno.EIO, error.strerror or str(error), error.filename) from error
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Write a text file so that a reader sees the old content or the new one, never a part."""
+    with disk_errors():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        aside = path.with_name(f".{path.name}.{os.getpid()}")
+        try:
+            aside.write_text(text, encoding="utf-8")
+            flush(aside)
+            os.replace(aside, path)
+        finally:
+            aside.unlink(missing_ok=True)
+
+
+def flush(path: Path) -> None:
+    """Make sure that a file, or the entries of a folder, are on the disk."""
+    if os.name == "nt" and path.is_dir():
+        return
+    handle = os.open(path, os.O_RDONLY if os.name != "nt" else os.O_RDWR)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
