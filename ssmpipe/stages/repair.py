@@ -12,6 +12,8 @@ from ssmpipe.core.mesh.topology import boundary_loops, genus
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.repair.cleaning import check_handles, check_openings, clean
 from ssmpipe.core.repair.handles import cut_handles
+from ssmpipe.core.repair.intersections import crossings, intersecting_pairs, repair_intersections
+from ssmpipe.core.repair.spikes import Spike, find_spikes, remove_spikes
 
 
 class Config(StageConfig):
@@ -35,6 +37,21 @@ class Config(StageConfig):
             "refused with its place [mm].",
         ),
     ] = None
+    spike_width: Annotated[
+        float,
+        Field(
+            ge=0,
+            description="Needles that stand out of the surface are removed when they are narrower than this many median edges of the mesh "
+            "and at least 1.5 times longer than wide; 0 keeps them [-].",
+        ),
+    ] = 4.0
+    self_intersections: Annotated[
+        Literal["repair", "report", "ignore"],
+        Field(
+            description="Where the surface passes through itself: replace the faces there by smooth patches, only warn with the places, or "
+            "do not look."
+        ),
+    ] = "repair"
     max_openings: Annotated[int, Field(ge=0, description="Number of boundary loops that a scan may have [count].")] = 1
 
 
@@ -54,6 +71,8 @@ def run(mesh: TriMesh, *, cfg: Config, ctx: Context) -> dict[str, Any]:
                 f"{cut.reach:.1f} mm of the loop was replaced; look at the place"
             )
     check_handles(result)
+    result = _without_spikes(result, cfg, ctx)
+    result = _without_intersections(result, cfg, ctx)
     for name, count in cleaned.changes.items():
         ctx.metric(name, count)
     ctx.metric("dropped_area_percent", 100.0 * cleaned.dropped_area_fraction)
@@ -74,14 +93,62 @@ def run(mesh: TriMesh, *, cfg: Config, ctx: Context) -> dict[str, Any]:
     return {"mesh": result}
 
 
+def _without_spikes(mesh: TriMesh, cfg: Config, ctx: Context) -> TriMesh:
+    if cfg.spike_width == 0:
+        return mesh
+    spikes = find_spikes(mesh, max_width=cfg.spike_width)
+    result, removed = remove_spikes(mesh, spikes)
+    ctx.metric("spikes_removed", len(removed))
+    ctx.metric("spikes_mm", [[*(round(c, 2) for c in s.place), round(s.length, 2), round(s.width, 2)] for s in removed])
+    if removed:
+        ctx.warn(
+            f"{len(removed)} spikes were removed: {_list(removed)}; look at the places, or keep them with repair.spike_width: 0"
+        )
+    kept = [spike for spike in spikes if spike not in removed]
+    if kept:
+        ctx.warn(f"{len(kept)} spikes could not be removed: {_list(kept)}; repair the segmentation there")
+    return result
+
+
+def _list(spikes: list[Spike]) -> str:
+    text = [f"{s.length:.1f} mm long, {s.width:.1f} mm wide at ({_place(s.place)}) mm" for s in spikes]
+    return ", ".join(text[:4]) + (", ..." if len(text) > 4 else "")
+
+
+def _place(place: tuple[float, float, float]) -> str:
+    return ", ".join(f"{c:.1f}" for c in place)
+
+
+def _without_intersections(mesh: TriMesh, cfg: Config, ctx: Context) -> TriMesh:
+    if cfg.self_intersections == "ignore":
+        return mesh
+    found = crossings(mesh, intersecting_pairs(mesh))
+    left, result = found, mesh
+    if found and cfg.self_intersections == "repair":
+        result = repair_intersections(mesh)
+        left = crossings(result, intersecting_pairs(result))
+    ctx.metric("self_intersections", len(found))
+    ctx.metric("self_intersections_mm", [[round(c, 2) for c in crossing.place] for crossing in found])
+    ctx.metric("self_intersections_left", len(left))
+    if len(left) < len(found):
+        ctx.log.info("%d of %d places where the surface met itself were replaced", len(found) - len(left), len(found))
+    if left:
+        places = ", ".join(f"({_place(c.place)}) mm ({c.n_faces} faces)" for c in left[:4]) + (
+            ", ..." if len(left) > 4 else ""
+        )
+        ctx.warn(f"the surface passes through itself in {len(left)} places: {places}; repair the segmentation there")
+    return result
+
+
 STAGE = Stage(
     name="repair",
     scope="shape",
-    version=1,
+    version=2,
     config=Config,
     run=run,
     inputs=(Port("mesh", "trimesh"),),
     outputs=(Port("mesh", "trimesh"),),
     methods="Raw surfaces were cleaned of duplicate vertices, degenerate and duplicate faces, non-manifold fins and debris, "
-    "and oriented outward.",
+    "and oriented outward; needles narrower than {spike_width} edges were removed (0: none), and self-intersections treated by: "
+    "{self_intersections}.",
 )

@@ -74,6 +74,37 @@ class TestRepair:
         assert np.hypot(*ctx.metrics["handle_places_mm"][0][:2]) == pytest.approx(6.0, abs=0.2)
         assert "a handle with a loop of 6.2 mm" in ctx.warnings[0]
 
+    def test_spikes_are_removed_and_listed_unless_they_shall_stay(self):
+        ball = sphere(20.0, 4)
+        vertices = ball.vertices.copy()
+        vertices[[100, 900]] *= [[1.4], [1.3]]
+        scan = TriMesh(vertices, ball.faces)
+        outputs, ctx = go(repair, mesh=scan)
+        assert np.linalg.norm(outputs["mesh"].vertices, axis=1).max() < 20.1
+        assert ctx.metrics["spikes_removed"] == 2
+        assert ctx.metrics["spikes_mm"][0][:3] == pytest.approx(vertices[100], abs=0.01)
+        assert "2 spikes were removed: " in ctx.warnings[0]
+        kept, ctx = go(repair, mesh=scan, options={"spike_width": 0.0})
+        assert np.array_equal(kept["mesh"].vertices, scan.vertices)
+        assert not ctx.warnings
+
+    def test_self_intersections_are_replaced_or_named(self):
+        ball = sphere(20.0, 4)
+        noise = np.random.default_rng(0).normal(size=ball.vertices.shape)
+        near = np.linalg.norm(ball.vertices - ball.vertices[100], axis=1) < 2.0
+        scan = TriMesh(ball.vertices + near[:, None] * noise, ball.faces)
+        _, ctx = go(repair, mesh=scan)
+        assert ctx.metrics["self_intersections"] == 1
+        assert ctx.metrics["self_intersections_left"] == 0
+        assert not ctx.warnings
+        outputs, ctx = go(repair, mesh=scan, options={"self_intersections": "report"})
+        assert np.array_equal(outputs["mesh"].vertices, scan.vertices)
+        assert "passes through itself in 1 places: (" in ctx.warnings[0]
+        assert ctx.metrics["self_intersections_mm"][0] == pytest.approx(ball.vertices[100], abs=2.5)
+        outputs, ctx = go(repair, mesh=scan, options={"self_intersections": "ignore"})
+        assert "self_intersections" not in ctx.metrics
+        assert np.array_equal(outputs["mesh"].vertices, scan.vertices)
+
     @needs_vertebrae
     def test_vertebrae_are_refused(self):
         files = sorted((DATA / "vertebra_l1" / "scans").glob("*.ply"))

