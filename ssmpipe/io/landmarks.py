@@ -22,6 +22,7 @@ from ssmpipe.core.errors import ArtifactError
 from ssmpipe.io.point_lists import point_names, read_asf, read_pts
 from ssmpipe.io.tables import read_rows, read_text
 
+_NOT_PLACED = ("", "na", "nan", "n/a", "-")
 LandmarkTable = dict[str, dict[str, Floats]]
 
 _TO_LPS = {"LPS": (1.0, 1.0, 1.0), "1": (1.0, 1.0, 1.0), "RAS": (-1.0, -1.0, 1.0), "0": (-1.0, -1.0, 1.0)}
@@ -41,7 +42,8 @@ def read_landmarks(path: Path) -> LandmarkTable:
     Returns
     -------
     dict of dict of (3,) or (2,) float64
-        By shape id, then by landmark name, in the units of the file.
+        By shape id, then by landmark name, in the units of the file. Rows of a CSV file with all coordinates empty (or ``NA``,
+        ``NaN``, ``-``) stand for landmarks that were not placed and are left out.
 
     Raises
     ------
@@ -198,7 +200,7 @@ def _read_fcsv(path: Path) -> LandmarkTable:
 
 
 def _read_csv(path: Path) -> LandmarkTable:
-    header, rows = read_rows(path, "id")
+    header, rows = read_rows(path, "id", ("landmark", "x", "y", "z"))
     axes = ["x", "y", "z"] if "z" in header else ["x", "y"]
     missing = [name for name in ("landmark", *axes) if name not in header]
     if missing:
@@ -209,6 +211,9 @@ def _read_csv(path: Path) -> LandmarkTable:
         where = f"{path.name}, line {line}, shape '{row['id']}'"
         if not row["id"]:
             raise ArtifactError(f"{path.name}, line {line}: the id is empty", "give every row a shape id")
+        if all(row[axis].lower() in _NOT_PLACED for axis in axes):
+            table.setdefault(row["id"], {})
+            continue
         point = _point([row[axis] for axis in axes], f"{where}, landmark '{row['landmark']}'")
         _add(table.setdefault(row["id"], {}), row["landmark"], point, where)
     return table

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,8 @@ from ssmpipe.contract import Table
 from ssmpipe.core.errors import ArtifactError
 
 MAX_BYTES = 256 * 2**20
+# columns of the cohort table that mean something to the software, in whatever case they are written
+COHORT_COLUMNS = ("id", "path", "side", "group", "subject")
 
 
 def read_text(path: Path) -> str:
@@ -36,10 +39,11 @@ def read_text(path: Path) -> str:
         raise ArtifactError(f"{path.name} cannot be read ({error.strerror or error})", "check the path") from error
 
 
-def read_rows(path: Path, key: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
+def read_rows(path: Path, key: str, known: Sequence[str] = ()) -> tuple[list[str], list[tuple[int, list[str]]]]:
     """Return the header and the (line number, cells) of a CSV file whose header has the column ``key``.
 
-    The delimiter is the one of ``, ; tab`` that makes ``key`` a column. Lines that are empty or start with ``#``
+    The delimiter is the one of ``, ; tab`` that makes ``key`` a column. ``key`` and the ``known`` columns are returned in lower case,
+    others as they are written. Lines that are empty or start with ``#``
     before the header, and empty lines after it, are skipped; cells are stripped.
 
     Raises
@@ -61,7 +65,7 @@ def read_rows(path: Path, key: str) -> tuple[list[str], list[tuple[int, list[str
             f"{path.name}, line {start + 1}: no column '{key}' in '{lines[start].strip()[:80]}'",
             f"name the columns in the first line, separated by , or ; and call one of them '{key}'",
         )
-    header = [cell.lower() if cell.lower() == key else cell for cell in header]
+    header = [cell.lower() if cell.lower() in (key, *known) else cell for cell in header]
     twice = sorted({cell for cell in header if header.count(cell) > 1})
     if twice:
         raise ArtifactError(f"{path.name}, line {start + 1}: column '{twice[0]}' occurs twice", "rename one of them")
@@ -91,14 +95,15 @@ def read_cohort(path: Path) -> dict[str, dict[str, str]]:
     Parameters
     ----------
     path : Path
-        CSV in UTF-8 with a column ``id``, delimited by ``,`` ``;`` or tab.
+        CSV in UTF-8 with a column ``id``, delimited by ``,`` ``;`` or tab. Names of columns that have a meaning (``id path side
+        group subject``) may be written in any case.
 
     Raises
     ------
     ArtifactError
         If there is no ``id`` column, an id is empty or occurs twice, or a row is ragged; names the line.
     """
-    header, rows = read_rows(path, "id")
+    header, rows = read_rows(path, "id", COHORT_COLUMNS)
     at = header.index("id")
     cohort: dict[str, dict[str, str]] = {}
     line_of: dict[str, int] = {}

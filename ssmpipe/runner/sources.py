@@ -16,6 +16,7 @@ from typing import Any
 
 from ssmpipe.core.errors import ArtifactError, ConfigError, GeometryError, LandmarkError
 from ssmpipe.runner.fingerprint import digest, file_digest
+from ssmpipe.runner.suggest import count
 
 ID = re.compile(r"(?!\.)[A-Za-z0-9._-]{1,64}")
 TO_MM: Mapping[str, float] = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001, "none": 1.0}
@@ -305,7 +306,9 @@ def find_sources(
     for shape_id in sorted(files):
         row = dict(cohort.get(shape_id, {})) if cohort is not None else {}
         if cohort is not None and shape_id not in cohort:
-            warnings.append(f"{shape_id}: no row in the cohort table; add one, or its side and group stay unknown")
+            warnings.append(
+                f"{shape_id}: no row in the cohort table{_similar(shape_id, cohort)}; add one, or its side and group stay unknown"
+            )
         text = row.pop("side", "").strip()
         if text.lower() not in _SIDES:
             raise ConfigError(f"cohort table, shape '{shape_id}': side is '{text}'", "write L or R")
@@ -313,7 +316,8 @@ def find_sources(
         points = (landmarks or {}).get(shape_id)
         if landmarks is not None and points is None:
             warnings.append(
-                f"{shape_id}: no landmarks in the landmark file; stages that need a named one will refuse it"
+                f"{shape_id}: no landmarks in the landmark file{_similar(shape_id, landmarks)}; stages that need a named one will "
+                "refuse it"
             )
         plain = None if points is None else {name: tuple(float(x) for x in p) for name, p in points.items()}
         sources.append(
@@ -324,7 +328,34 @@ def find_sources(
         if extra:
             shown = ", ".join(extra[:3]) + (", ..." if len(extra) > 3 else "")
             warnings.append(f"{name}: {len(extra)} entries have no scan ({shown})")
-    return sources, warnings
+    return sources, warnings + _spellings(landmarks or {})
+
+
+def _similar(shape_id: str, table: Mapping[str, Any]) -> str:
+    """Return in brackets the id of a table that was probably meant: with a suffix, in another case, with fewer zeros."""
+
+    def plain(text: str) -> str:
+        bare = re.sub(r"\.(stl|ply|obj|off|vtk|vtp|csv|pts|asf|png|jpe?g|tiff?|npz)$", "", text.strip().lower())
+        return re.sub(r"(?<![0-9])0+(?=[0-9])", "", re.sub(r"[^a-z0-9]+", "_", bare))
+
+    meant = [name for name in table if plain(name) == plain(shape_id)]
+    return f" (it has '{meant[0]}'; ids are file names without suffix, letter by letter)" if len(meant) == 1 else ""
+
+
+def _spellings(landmarks: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return a warning for every landmark whose name is written in several ways."""
+    ways: dict[str, dict[str, int]] = {}
+    for points in landmarks.values():
+        for name in points:
+            counts = ways.setdefault(" ".join(re.split(r"[\s_-]+", name.strip().lower())), {})
+            counts[name] = counts.get(name, 0) + 1
+    return [
+        "landmark file: "
+        + ", ".join(f"'{name}' ({count(n, 'shape')})" for name, n in sorted(counts.items()))
+        + " are taken for different landmarks; write them alike"
+        for _, counts in sorted(ways.items())
+        if len(counts) > 1
+    ]
 
 
 def by_id(paths: Sequence[Path]) -> dict[str, Path]:
@@ -336,13 +367,16 @@ def by_id(paths: Sequence[Path]) -> dict[str, Path]:
         If a name cannot serve as id, or two files have the same.
     """
     files: dict[str, Path] = {}
+    odd = [path.name for path in paths if not ID.fullmatch(path.stem)]
+    if odd:
+        more = f" (nor can {len(odd) - 1} other{'s' if len(odd) > 2 else ''})" if len(odd) > 1 else ""
+        raise ConfigError(
+            f"'{odd[0]}' cannot serve as shape id{more}",
+            "use up to 64 letters, digits, '.', '_' or '-', no leading '.', as file names; or leave input.scans out and give the cohort "
+            "table the columns id and path",
+        )
     for path in paths:
         shape_id = path.stem
-        if not ID.fullmatch(shape_id):
-            raise ConfigError(
-                f"'{path.name}' cannot serve as shape id",
-                "use up to 64 letters, digits, '.', '_' or '-', no leading '.'",
-            )
         if shape_id in files:
             raise ConfigError(f"two scans have the id '{shape_id}': {files[shape_id]} and {path}", "rename one of them")
         files[shape_id] = path

@@ -73,6 +73,15 @@ def test_plane_landmarks_have_two_coordinates(tmp_path: Path) -> None:
     assert np.array_equal(read_landmarks(tmp_path / "l.csv")["mouse01"]["L1"], [168.59, 35.66])
 
 
+def test_landmarks_that_were_not_placed_are_left_out(tmp_path: Path) -> None:
+    (tmp_path / "l.csv").write_text("ID;Landmark;X;Y\nm1;A;1;2\nm1;B;;\nm2;A;NA;NA\nm2;B;3;4\nm3;A;-;nan\n")
+    table = read_landmarks(tmp_path / "l.csv")
+    assert {i: sorted(points) for i, points in table.items()} == {"m1": ["A"], "m2": ["B"], "m3": []}
+    (tmp_path / "l.csv").write_text("id,landmark,x,y\nm1,A,1,\n")
+    with pytest.raises(ArtifactError, match="line 2, shape 'm1', landmark 'A'"):
+        read_landmarks(tmp_path / "l.csv")
+
+
 BAD: dict[str, tuple[str, str]] = {
     "no.json": ("{", "no.json is not readable JSON"),
     "flat.json": ('{"a": [1, 2, 3]}', "not a landmark table"),

@@ -17,6 +17,7 @@ GOOD = {
     "tabs": b"id\tside\tgroup\nfemur_01\tL\ta\nfemur_02\tR\tb\n",
     "byte order mark, crlf": b"\xef\xbb\xbfID,side,group\r\nfemur_01,L,a\r\nfemur_02,R,b\r\n",
     "excel": b"sep=;\nid;side;group\nfemur_01;L;a\n;;\nfemur_02;R;b",
+    "capitals": b"ID,Side,GROUP\nfemur_01,L,a\nfemur_02,R,b\n",
     "comment, blanks, quotes": b'# our cohort\n\n side , id,group\n"L", femur_01 ,a\n\nR,femur_02,b\n',
 }
 

@@ -228,6 +228,18 @@ def test_inputs(tmp_path: Path, scans: Path, registry: Registry) -> None:
     assert a.load()["transform"][0, 0] == 10.0
 
 
+def test_near_misses_of_names_are_told(tmp_path: Path, scans: Path, registry: Registry) -> None:
+    (tmp_path / "cohort.csv").write_text("id,side\nA.stl,L\nb,R\nc,R\nd,R\n")
+    (tmp_path / "marks.json").write_text(json.dumps({"a": {"Tip": [0, 0, 0]}, "b": {"tip": [0, 0, 0]}, "C": {}}))
+    path = tmp_path / "c.yaml"
+    path.write_text(GOOD.replace("scans: scans", "scans: scans\n  cohort: cohort.csv\n  landmarks: marks.json"))
+    warnings = load_project(path, (), registry).warnings
+    assert any("a: no row in the cohort table (it has 'A.stl'; ids are" in w for w in warnings)
+    assert any("c: no landmarks in the landmark file (it has 'C'; ids are" in w for w in warnings)
+    assert any("d: no landmarks in the landmark file;" in w for w in warnings)
+    assert any("'Tip' (1 shape), 'tip' (1 shape) are taken for different landmarks" in w for w in warnings)
+
+
 def test_scans_from_the_cohort_table(tmp_path: Path, scans: Path, registry: Registry) -> None:
     (tmp_path / "cohort.csv").write_text("id,path\none,scans/a.ply\ntwo,scans/b.ply\n")
     path = tmp_path / "c.yaml"

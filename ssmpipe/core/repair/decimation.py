@@ -64,6 +64,11 @@ def decimate(
         if result.n_faces <= 1.01 * n_faces + 2 and _topology(result) == wanted:
             return Decimated(result, "quadric" if method == "fast-simplification" else method)
     answer = igl.qslim(mesh.vertices, mesh.faces, n_faces)
+    if not len(answer[1]):
+        raise TopologyError(
+            f"decimation to {n_faces} faces failed; edges of the mesh are shared by more than two faces",
+            "run repair before",
+        )
     result = compact(TriMesh(answer[0], answer[1]))
     if result.n_faces <= 1.01 * n_faces + 2 and _topology(result) == wanted:
         return Decimated(result, "qslim")
