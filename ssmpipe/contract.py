@@ -28,6 +28,7 @@ history           :class:`Table`                                                
 model             :class:`ssmpipe.core.model.shape_model.ShapeModel`                           model.npz, model.h5
 scores, measures  :class:`Table`                                                               scores.csv ...
 any               dict name -> TriMesh or Outline, kind ``meshes``                             <name>.ply or .csv
+any               dict name -> array, kind ``arrays``                                          <slot>.npz
 ================  ===========================================================================  ==================
 """
 

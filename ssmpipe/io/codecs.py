@@ -37,7 +37,7 @@ def save_artifact(kind: str, slot: str, obj: Any, folder: Path) -> list[str]:
     Parameters
     ----------
     kind : str
-        ``trimesh outline landmarks transform info seam uv samples surface correspondence model table json meshes``.
+        ``trimesh outline landmarks transform info seam uv samples surface correspondence model table json meshes arrays``.
     slot : str
         Its name in the chain; the file is named after it.
     obj : object
@@ -271,6 +271,15 @@ def _load_table(paths: list[Path]) -> Any:
     return read_table(paths[0])
 
 
+def _save_arrays(slot: str, obj: Any, folder: Path) -> list[str]:
+    write_npz(folder / f"{slot}.npz", obj)
+    return [f"{slot}.npz"]
+
+
+def _load_arrays(paths: list[Path]) -> Any:
+    return read_npz(paths[0])
+
+
 def _save_json(slot: str, obj: Any, folder: Path) -> list[str]:
     write_json(folder / f"{slot}.json", obj)
     return [f"{slot}.json"]
@@ -295,6 +304,7 @@ _CODECS: dict[str, tuple[Callable[..., list[str]], Callable[..., Any]]] = {
     "table": (_save_table, _load_table),
     "json": (_save_json, _load_json),
     "meshes": (_save_meshes, _load_meshes),
+    "arrays": (_save_arrays, _load_arrays),
 }
 
 KINDS = tuple(_CODECS)

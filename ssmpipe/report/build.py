@@ -10,11 +10,13 @@ from typing import Any
 from markupsafe import Markup
 
 from ssmpipe.contract import Table
+from ssmpipe.core.arrays import Floats
 from ssmpipe.core.correspondence.correspondence import Correspondence
 from ssmpipe.core.model.shape_model import ShapeModel
 from ssmpipe.report.page import fill, resource
 from ssmpipe.report.section import ReportData, Section
 from ssmpipe.report.sections import SECTIONS
+from ssmpipe.report.units import record_without_mm
 from ssmpipe.report.wording import count, number
 
 
@@ -27,6 +29,9 @@ def build_report(
     landmark_transfer: Table | None = None,
     history: Table,
     certificate: Mapping[str, Any],
+    quality: Table | None = None,
+    landmarks: Mapping[str, Mapping[str, Floats]] | None = None,
+    pages: Mapping[str, str] | None = None,
 ) -> str:
     """Return the report of a run as one HTML document that works offline.
 
@@ -45,6 +50,12 @@ def build_report(
         One row per iteration of the optimizer.
     certificate : dict
         ``{"shapes": {id: {"lower_bound", "status", "method"}}}``.
+    quality : Table, optional
+        Distances of every shape to its reconstruction from the others, worst first.
+    landmarks : mapping id -> name -> (d,), optional
+        Marked landmarks in the frame of the correspondence.
+    pages : mapping id -> address, optional
+        Pages of the single shapes, linked where the shape is named.
 
     Returns
     -------
@@ -52,22 +63,46 @@ def build_report(
         The same input gives the same text. The page's content security policy lets exactly its own script and style run
         (by their SHA-256) and nothing be fetched.
     """
-    data = ReportData(record, correspondence, model, measures, landmark_transfer, history, certificate)
+    if (record.get("config") or {}).get("input", {}).get("units") == "none":
+        record = record_without_mm(record)
+    data = ReportData(
+        record,
+        correspondence,
+        model,
+        measures,
+        landmark_transfer,
+        history,
+        certificate,
+        quality,
+        landmarks or {},
+        pages or {},
+    )
     sections = [section for render in SECTIONS if (section := render(data)) is not None]
     name = str(record.get("name") or "Shape model")
     about = f"{count(len(model.ids), 'shape')}, {number(len(model.mean))} points each, {count(len(model.modes), 'mode')} of variation"
+    name = name[:1].upper() + name[1:]
     return assemble(name=name, about=about, version=str(record.get("ssmpipe_version", "")), sections=sections)
 
 
 def assemble(
-    *, name: str, about: str, version: str, sections: Sequence[Section], kind: str = "Statistical shape model"
+    *,
+    name: str,
+    about: str,
+    version: str,
+    sections: Sequence[Section],
+    kind: str = "Statistical shape model",
+    links: Sequence[tuple[str, str]] = (),
 ) -> str:
-    """Return a page of sections with the style and the viewer of the report, and the policy that lets only these run."""
+    """Return a page of sections with the style and the viewer of the report, and the policy that lets only these run.
+
+    ``links`` are addresses and names of neighbouring pages.
+    """
     style, script = resource("templates", "report.css"), resource("assets", "viewer.js")
     return str(
         fill(
             "report.html.j2",
-            name=name[:1].upper() + name[1:],
+            name=name,
+            links=links,
             kind=kind,
             about=about,
             version=version,

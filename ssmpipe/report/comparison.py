@@ -16,7 +16,18 @@ from ssmpipe.core.arrays import Bools, Floats
 from ssmpipe.core.model.shape_model import ShapeModel
 from ssmpipe.core.statistics.comparison import Comparison, JointTest, Pair, Sample
 from ssmpipe.report.build import assemble
-from ssmpipe.report.figures import BONE, SIGNED, SIGNED_STOPS, figure, png_uri, ramp_uri, style, svg_uri
+from ssmpipe.report.figures import (
+    BONE,
+    CATEGORIES,
+    MARKS,
+    SIGNED,
+    SIGNED_STOPS,
+    figure,
+    png_uri,
+    ramp_uri,
+    style,
+    svg_uri,
+)
 from ssmpipe.report.page import fill
 from ssmpipe.report.payload import viewer_payload
 from ssmpipe.report.section import Section
@@ -24,9 +35,6 @@ from ssmpipe.report.sections.modes import nice_ceiling
 from ssmpipe.report.sections.summary import Tile
 from ssmpipe.report.solid import picture, vertex_normals, view_axes
 from ssmpipe.report.wording import count, number, percent
-
-COLOURS = ("#17608f", "#c8641f", "#2c7a56", "#8a4f9e", "#8d6a2e", "#b23a5b", "#4f5b66", "#1f9aa5")
-MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")
 
 REFERENCES = (
     "Anderson MJ. A new method for non-parametric multivariate analysis of variance. Austral Ecol 26:32-46, 2001.",
@@ -90,7 +98,7 @@ def build_comparison(page: ComparisonPage) -> str:
     about = f"{count(shapes, 'shape')} of {count(subjects, 'subject')}, {number(len(page.comparison.mean))} points each"
     sections = [_summary(page), _maps(page), _viewer(page), _tests(page), _modes(page), _sorting(page), _methods(page)]
     return assemble(
-        name=page.title,
+        name=page.title[:1].upper() + page.title[1:],
         about=about,
         version=page.version,
         sections=[section for section in sections if section is not None],
@@ -238,11 +246,11 @@ def outline_figure(page: ComparisonPage, pair: Pair, significant: Bools) -> Figu
         for group in (pair.first, pair.second):
             points = page.comparison.group_means[group]
             ring = np.concatenate([points, points[:1]]) if closed else points
-            panel.plot(ring[:, 0], ring[:, 1], color=COLOURS[group], linewidth=1.1, label=page.groups[group])
+            panel.plot(ring[:, 0], ring[:, 1], color=CATEGORIES[group], linewidth=1.1, label=page.groups[group])
             strong = np.concatenate([significant, significant[:1]]) if closed else significant
             thick = np.where((strong[:-1] & strong[1:])[:, None], 0.0, np.nan)
             for k in np.flatnonzero(np.isfinite(thick[:, 0])):
-                panel.plot(ring[k : k + 2, 0], ring[k : k + 2, 1], color=COLOURS[group], linewidth=3.6)
+                panel.plot(ring[k : k + 2, 0], ring[k : k + 2, 1], color=CATEGORIES[group], linewidth=3.6)
         panel.set_aspect("equal")
         panel.set_axis_off()
         handles, names = panel.get_legend_handles_labels()
@@ -383,14 +391,14 @@ def scores_figure(page: ComparisonPage) -> Figure:
                     mine[:, a],
                     mine[:, b],
                     s=20,
-                    color=COLOURS[g],
+                    color=CATEGORIES[g],
                     marker=MARKS[g],
                     alpha=0.75,
                     linewidths=0,
                     label=name,
                 )
                 panel.plot(
-                    *mine[:, [a, b]].mean(axis=0), marker="+", markersize=13, markeredgewidth=2.2, color=COLOURS[g]
+                    *mine[:, [a, b]].mean(axis=0), marker="+", markersize=13, markeredgewidth=2.2, color=CATEGORIES[g]
                 )
             panel.set(xlabel=f"mode {a + 1} [σ]", ylabel=f"mode {b + 1} [σ]")
         panels[0].set_title("Scores (+: group means)")
@@ -398,7 +406,7 @@ def scores_figure(page: ComparisonPage) -> Figure:
             values = found.pairs[0].discriminant.scores
             steps = np.linspace(values.min(), values.max(), 17)
             for g in range(2):
-                panels[2].hist(values[labels == g], bins=list(steps), color=COLOURS[g], alpha=0.6)
+                panels[2].hist(values[labels == g], bins=list(steps), color=CATEGORIES[g], alpha=0.6)
             panels[2].set(xlabel="discriminant [σ inside the groups]", ylabel="shapes")
             panels[2].set_title("Discriminant (same shapes)")
         handles, names = panels[0].get_legend_handles_labels()

@@ -27,6 +27,9 @@ SERIES = {"initial": BEFORE, "optimized": AFTER}
 SIGNED_STOPS = ("#1f4e8c", "#4f86bd", "#a3c6e0", "#f3f1ec", "#efb79a", "#d0674f", "#8f2330")
 SIGNED = LinearSegmentedColormap.from_list("ssmpipe-signed", SIGNED_STOPS, N=256)
 
+CATEGORIES = ("#17608f", "#c8641f", "#2c7a56", "#8a4f9e", "#8d6a2e", "#b23a5b", "#4f5b66", "#1f9aa5")
+MARKS = ("o", "s", "^", "D", "v", "P", "X", "*")  # so that groups differ without colour as well
+
 _STYLE: Any = {
     "font.family": "DejaVu Sans",
     "font.size": 9,

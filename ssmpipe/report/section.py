@@ -13,8 +13,10 @@ from typing import Any
 from markupsafe import Markup
 
 from ssmpipe.contract import Table
+from ssmpipe.core.arrays import Floats
 from ssmpipe.core.correspondence.correspondence import Correspondence
 from ssmpipe.core.model.shape_model import ShapeModel
+from ssmpipe.report.units import FILE_UNITS
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,10 @@ class Section:
 
 @dataclass(frozen=True)
 class ReportData:
-    """Everything a section may draw: the artifacts of the cohort stages and the record of the run."""
+    """Everything a section may draw: the artifacts of the cohort stages and the record of the run.
+
+    ``landmarks`` are in the frame of the correspondence; ``pages`` are addresses of the pages of single shapes, by id.
+    """
 
     record: Mapping[str, Any]
     correspondence: Correspondence
@@ -37,6 +42,9 @@ class ReportData:
     landmark_transfer: Table | None
     history: Table
     certificate: Mapping[str, Any]
+    quality: Table | None = None
+    landmarks: Mapping[str, Mapping[str, Floats]] = field(default_factory=dict)
+    pages: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def unit(self) -> str:
@@ -44,7 +52,7 @@ class ReportData:
         config = self.record.get("config") or {}
         given = config.get("input") if isinstance(config, Mapping) else None
         units = given.get("units") if isinstance(given, Mapping) else None
-        return "file units" if units == "none" else "mm"
+        return FILE_UNITS if units == "none" else "mm"
 
     @property
     def failures(self) -> Mapping[str, Any]:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 
 from ssmpipe.core.arrays import Floats, Ints
-from ssmpipe.report.figures import BONE, coarser, figure, pixels, style
+from ssmpipe.report.figures import BONE, coarser
+from ssmpipe.report.raster import rasterize
 
 
 def vertex_normals(points: Floats, faces: Ints) -> Floats:
@@ -90,27 +90,6 @@ def picture(
     if colours is None:
         colours = np.tile(to_rgb(BONE), (len(points), 1))
     axes = view_axes(*view)
-    local = (points - centre) @ axes.T
-    corners = np.concatenate([local, vertex_normals(points, faces) @ axes.T, colours], axis=1)[faces]
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2  # one subdivision rounds the shading off
-    fine = np.concatenate([np.stack(t, axis=1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
-    normal, base = fine[:, :, 3:6].mean(axis=1), fine[:, :, 6:].mean(axis=1)
-    back = np.cross(fine[:, 1, :3] - fine[:, 0, :3], fine[:, 2, :3] - fine[:, 0, :3])[:, 2] < 0
-    normal = np.where(back[:, None], -normal, normal)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    light = np.array([-0.35, 0.45, 0.82])
-    shade = 0.44 + 0.54 * np.clip(normal @ light, 0, 1) + 0.05 * np.clip(normal @ light, 0, 1) ** 12
-    shaded = np.clip(base * (shade * np.where(back, 0.62, 1.0))[:, None], 0, 1)
-    order = np.argsort(fine[:, :, 2].mean(axis=1), kind="stable")
-    with style():
-        made = figure(inches, inches)
-        panel = made.add_axes((0, 0, 1, 1))
-        panel.set_axis_off()
-        panel.add_collection(
-            PolyCollection(
-                list(fine[order, :, :2]), facecolors=shaded[order], edgecolors="none", linewidths=0, antialiased=False
-            )
-        )
-        panel.set(xlim=(-radius, radius), ylim=(-radius, radius))
-        return coarser(pixels(made, 3 * dpi), 3)
+    local = (points - centre) @ axes.T / radius
+    shot = rasterize(local, vertex_normals(points, faces) @ axes.T, faces, colours, 2 * round(inches * dpi))
+    return coarser(shot, 2)

@@ -91,8 +91,14 @@ def label(key: str) -> str:
     """
     words = key.split("_")
     unit = (
-        words.pop() if len(words) > 1 and words[-1] in {"mm", "mm2", "mm3", "s", "deg", "rad", "nat", "percent"} else ""
+        words.pop()
+        if len(words) > 1 and words[-1] in {"mm", "mm2", "mm3", "s", "deg", "rad", "nat", "percent", "unit"}
+        else ""
     )
     if words and words[0] == "n" and len(words) > 1:
         words = words[1:]
-    return " ".join(words) + (f" [{unit.replace('2', '²').replace('3', '³').replace('percent', '%')}]" if unit else "")
+    return " ".join(words) + (
+        f" [{unit.replace('2', '²').replace('3', '³').replace('percent', '%').replace('unit', 'file units')}]"
+        if unit
+        else ""
+    )

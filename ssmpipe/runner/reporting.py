@@ -1,11 +1,12 @@
-"""The last stage: the record of the run and the results of the group stages become ``report.html``."""
+"""The last stage: the record of the run and all results become ``report.html`` and a page per shape beside it."""
 
 from __future__ import annotations
 
 import os
 import time
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ssmpipe.contract import Context, Port, Stage, StageConfig
 from ssmpipe.core.errors import SsmpipeError
@@ -15,9 +16,21 @@ from ssmpipe.runner.disk import disk_errors, write_atomically
 from ssmpipe.runner.execute import TaskRecord, versions
 from ssmpipe.runner.fingerprint import digest, file_digest
 from ssmpipe.runner.manifest import FILE, Decision, Manifest, Output, Request, decide
+from ssmpipe.runner.patients import (
+    FOLDER,
+    PAGES,
+    WrittenPages,
+    landmarks_of,
+    page_digests,
+    page_name,
+    steps_of,
+)
 from ssmpipe.runner.plan import PlannedStep
 from ssmpipe.runner.record import report_record
 from ssmpipe.runner.workspace import Workspace
+
+if TYPE_CHECKING:
+    from ssmpipe.report.patient import PatientPage
 
 NAME = "report.html"
 
@@ -34,7 +47,7 @@ def run(*, cfg: Config, ctx: Context, **artifacts: Any) -> dict[str, Any]:
 STAGE = Stage(
     name="report",
     scope="cohort",
-    version=1,
+    version=2,
     config=Config,
     run=run,
     inputs=(
@@ -44,13 +57,21 @@ STAGE = Stage(
         Port("landmark_transfer", "table", optional=True),
         Port("history", "table"),
         Port("certificate", "json"),
+        Port("quality", "table", optional=True),
+        Port("reconstructions", "arrays", optional=True),
+        Port("landmarks", "landmarks", optional=True),
+        Port("transform", "transform", optional=True),
     ),
     outputs=(Port("report", "html"),),
 )
 
 
-def _request(workspace: Workspace, step: PlannedStep, shown: dict[str, Any]) -> Request:
-    inputs = {**workspace.input_digests(step, None, ()), "record": digest(shown)}
+def _request(workspace: Workspace, step: PlannedStep, shown: dict[str, Any], pages: Mapping[str, str]) -> Request:
+    inputs = {
+        **workspace.input_digests(step, None, ()),
+        "record": digest(shown),
+        "shapes": digest(dict(pages)),
+    }
     config = {**dict(step.options), "ssmpipe": shown["ssmpipe_version"]}
     return Request(step.stage, step.version, config, inputs, workspace.seed, None)
 
@@ -66,14 +87,15 @@ def report_decision(
         If a result that it needs does not exist.
     """
     folder = workspace.folder(step, None)
-    request = _request(workspace, step, report_record(record))
+    shown = report_record(record)
+    request = _request(workspace, step, shown, page_digests(workspace, step, shown))
     return decide(workspace.manifest(folder), request, folder, force=force)
 
 
 def write_report(
     project: Project, workspace: Workspace, step: PlannedStep, record: dict[str, Any], *, force: bool = False
 ) -> tuple[Path, TaskRecord]:
-    """Write ``report.html`` if what it shows has changed.
+    """Write ``report.html`` and the pages of the shapes, those whose content has changed.
 
     Raises
     ------
@@ -84,28 +106,22 @@ def write_report(
     """
     clock = time.perf_counter()
     shown = report_record(record)
-    request = _request(workspace, step, shown)
+    requests = page_digests(workspace, step, shown)
+    request = _request(workspace, step, shown, requests)
     folder = workspace.folder(step, None)
-    page = Path(os.pardir) / os.pardir / NAME
     decision = decide(workspace.manifest(folder), request, folder, force=force)
     target = workspace.out / NAME
     if not decision.run:
         return target, TaskRecord(step.id, None, "up to date", decision.reason, request.fingerprint)
-    artifacts: dict[str, Any] = {}
-    for slot, producer in step.inputs.items():
-        if producer is None:
-            artifacts[slot] = None
-            continue
-        where, manifest = workspace.produced(producer, None)
-        output = manifest.outputs.get(slot) if manifest else None
-        artifacts[slot] = load_artifact(output.kind, slot, where, list(output.files)) if output else None
-    from ssmpipe.report.build import build_report
-
-    html = build_report(record=shown, **artifacts)
-    write_atomically(target, html)
+    artifacts = results_of(workspace, step)
+    files = write_pages(workspace, step, shown, artifacts, requests, force=force)
+    write_atomically(target, report_page(shown, artifacts, workspace, step))
     with disk_errors():
         folder.mkdir(parents=True, exist_ok=True)
-        outputs = {"report": Output("html", {page.as_posix(): file_digest(target)})}
+        up = Path(os.pardir) / os.pardir
+        written = {(up / NAME).as_posix(): file_digest(target)}
+        written |= {(up / FOLDER / page_name(shape)).as_posix(): sha for shape, sha in files.items()}
+        outputs = {"report": Output("html", written)}
         manifest = Manifest(step.id, request, outputs, decision.reason, {}, (), versions(), {})
         aside = folder / f".{FILE}"
         manifest.write(aside)
@@ -114,3 +130,80 @@ def write_report(
     return target, TaskRecord(
         step.id, None, "done", decision.reason, request.fingerprint, seconds=time.perf_counter() - clock
     )
+
+
+def results_of(workspace: Workspace, step: PlannedStep) -> dict[str, Any]:
+    """Return the results of the group stages that the report shows, by slot; None for what there is not."""
+    artifacts: dict[str, Any] = {}
+    for slot, producer in step.inputs.items():
+        if producer is not None and producer.scope == "shape":
+            continue
+        artifacts[slot] = None
+        if producer is not None:
+            where, manifest = workspace.produced(producer, None)
+            output = manifest.outputs.get(slot) if manifest else None
+            artifacts[slot] = load_artifact(output.kind, slot, where, list(output.files)) if output else None
+    return artifacts
+
+
+def report_page(shown: Mapping[str, Any], artifacts: Mapping[str, Any], workspace: Workspace, step: PlannedStep) -> str:
+    """Return the text of ``report.html``."""
+    from ssmpipe.report.build import build_report
+
+    given = {
+        slot: value for slot, value in artifacts.items() if slot not in ("reconstructions", "landmarks", "transform")
+    }
+    pages = {shape: f"{FOLDER}/{page_name(shape)}" for shape in shown["shapes"]}
+    marks = landmarks_of(workspace, step, given["correspondence"])
+    return build_report(record=shown, **given, landmarks=marks, pages=pages)
+
+
+def shape_page(
+    shape: str, shown: Mapping[str, Any], artifacts: Mapping[str, Any], workspace: Workspace, marks: Mapping[str, Any]
+) -> PatientPage:
+    """Return what the page of one shape shows."""
+    from ssmpipe.report.patient import PatientPage
+
+    ids = sorted(shown["shapes"])
+    place = ids.index(shape)
+    return PatientPage(
+        id=shape,
+        record=shown,
+        steps=steps_of(workspace, shape, shown["shapes"][shape], artifacts["correspondence"]),
+        correspondence=artifacts["correspondence"],
+        model=artifacts["model"],
+        certificate=artifacts["certificate"],
+        quality=artifacts["quality"],
+        reconstructions=artifacts["reconstructions"],
+        landmarks=marks.get(shape, {}),
+        before=ids[place - 1] if place else None,
+        after=ids[place + 1] if place + 1 < len(ids) else None,
+    )
+
+
+def write_pages(
+    workspace: Workspace,
+    step: PlannedStep,
+    shown: Mapping[str, Any],
+    artifacts: Mapping[str, Any],
+    requests: Mapping[str, str],
+    *,
+    force: bool = False,
+) -> dict[str, str]:
+    """Write the pages that are not up to date, remove those of shapes that are gone; return the digest of every page."""
+    from ssmpipe.report.patient import build_patient
+
+    folder, pages = workspace.folder(step, None), workspace.out / FOLDER
+    old = WrittenPages.read(folder)
+    marks = landmarks_of(workspace, step, artifacts["correspondence"])
+    files: dict[str, str] = {}
+    for shape, request in requests.items():
+        path = pages / page_name(shape)
+        if force or not old.current(shape, request, path):
+            write_atomically(path, build_patient(shape_page(shape, shown, artifacts, workspace, marks)))
+        files[shape] = file_digest(path)
+    with disk_errors():
+        for shape in set(old.files) - set(files):
+            (pages / page_name(shape)).unlink(missing_ok=True)
+    write_atomically(folder / PAGES, WrittenPages(requests, files).text())
+    return files

@@ -65,6 +65,7 @@ ARTIFACTS: dict[str, Any] = {
     "correspondence": correspondence(),
     "model": model(),
     "table": Table({"id": ["01", "b;c"], "x": [1 / 3, float("nan")], "n": [1, 2]}, "lengths in mm"),
+    "arrays": {"ids": np.array(["a", "fémur"]), "distance": RNG.normal(size=(2, 5))},
     "json": {"a": [1, 2.5, None], "b": {"c": "text"}},
     "meshes": {
         "mean": TriMesh(np.eye(3), np.array([[0, 1, 2]])),
@@ -80,7 +81,7 @@ def same(a: Any, b: Any) -> bool:
     if isinstance(a, dict):
         return list(a) == list(b) and all(same(a[k], b[k]) for k in a)
     if isinstance(a, np.ndarray):
-        return a.shape == b.shape and np.array_equal(a, b, equal_nan=True)
+        return a.shape == b.shape and np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
     if isinstance(a, list):
         return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
     return bool(type(a) is type(b) and (a == b or (a != a and b != b)))

@@ -33,6 +33,8 @@ def test_all_sections_are_there(html: str) -> None:
         "modes",
         "measures",
         "landmarks",
+        "quality",
+        "scores",
         "shapes",
         "history",
         "grids",
@@ -117,9 +119,11 @@ def test_an_almost_empty_record_still_gives_a_report(run: SmallRun) -> None:
         "certificate": {},
         "history": Table({}),
         "measures": Table({}),
+        "quality": None,
+        "landmarks": None,
     }
     keys = re.findall(r'<section id="([a-z]+)"', build_report(**bare))
-    assert keys == ["summary", "model", "modes", "grids", "methods", "provenance"]
+    assert keys == ["summary", "model", "modes", "scores", "grids", "methods", "provenance"]
 
 
 def test_a_refuted_certificate_is_said_in_words(run: SmallRun) -> None:

@@ -23,6 +23,8 @@ class SmallRun:
     landmark_transfer: Table
     history: Table
     certificate: dict[str, Any]
+    quality: Table
+    landmarks: dict[str, dict[str, np.ndarray]]
 
     def arguments(self) -> dict[str, Any]:
         return dict(vars(self))
@@ -134,7 +136,27 @@ def small_run(
             for i, b in zip(ids, bounds, strict=True)
         }
     }
-    return SmallRun(small_record(ids), correspondence, model, measures, transfer, history, certificate)
+    quality = small_quality(ids, rng)
+    near = {"notch": n * (n // 2) + n // 2, "epicondyle": n * (n // 4) + n // 3}
+    landmarks = {i: {name: points[k, p] + rng.normal(0, 0.5, 3) for name, p in near.items()} for k, i in enumerate(ids)}
+    return SmallRun(
+        small_record(ids), correspondence, model, measures, transfer, history, certificate, quality, landmarks
+    )
+
+
+def small_quality(ids: tuple[str, ...], rng: np.random.Generator) -> Table:
+    """As ``evaluate`` writes it: worst first."""
+    rows = []
+    for i in ids:
+        size, mean = 100 + 10 * rng.random(), 0.5 + rng.random()
+        row: dict[str, Any] = {"id": i, "is_reference": int(i == ids[0]), "n_modes": len(ids) - 2, "bbox_diag": size}
+        for block, factor in (("", 1.0), ("back_", 1.1), ("fit_", 0.05), ("fit_back_", 0.06)):
+            for word, times in (("mean", 1.0), ("median", 0.8), ("p99", 3.0), ("max", 4.0)):
+                row[f"{block}{word}_dist"] = factor * times * mean
+                row[f"{block}norm_{word}"] = factor * times * mean / size
+        rows.append(row)
+    rows.sort(key=lambda row: -max(row["norm_p99"], row["back_norm_p99"]))
+    return Table({name: [row[name] for row in rows] for name in rows[0]}, "worst first; [mm]")
 
 
 def small_record(ids: tuple[str, ...]) -> dict[str, Any]:
@@ -162,7 +184,15 @@ def small_record(ids: tuple[str, ...]) -> dict[str, Any]:
             stages.append(
                 {"stage": name, "folder": f"{i:02d}-{name}", "status": "done", "metrics": metrics, "warnings": []}
             )
-        shapes[key] = {"info": {"side": "L" if "left" in key else "R"}, "stages": stages}
+        shapes[key] = {
+            "file": f"{key}.stl",
+            "info": {
+                "side": "L" if "left" in key else "R",
+                "age": str(rng.integers(40, 80)),
+                "site": "here" if len(shapes) % 3 else "there",
+            },
+            "stages": stages,
+        }
     first = shapes[ids[0]]["stages"][0]
     first["warnings"] = ["2 small components with 41 faces in all were dropped; keep them with repair.components=all"]
     shapes["P99_broken"] = {

@@ -1,25 +1,52 @@
-// Entry: ties the controls that the report has written to the model and the picture.
+// Entry: ties the controls that the report has written to the model and the picture. A page may leave controls out.
 import { Model, niceCeiling, robustMaximum } from "./shape.js";
 import { View, linear } from "./scene.js";
+
+const signed = (x, digits) => `${x > 0 ? "+" : x < 0 ? "\u2212" : ""}${Math.abs(x).toFixed(digits)}`;
 
 function start(root) {
   const data = JSON.parse(document.getElementById("model-data").textContent);
   const model = new Model(data);
   const canvas = root.querySelector("canvas");
-  const view = new View(canvas, model, data.topology);
-  const $ = (name) => root.querySelector(`[data-control="${name}"]`);
+  const view = new View(canvas, model, data.topology, data.landmarks ?? []);
+  const nothing = document.createElement("input"); // stands for a control that this page does not have
+  const $ = (name) => root.querySelector(`[data-control="${name}"]`) ?? nothing;
   const sliders = [...root.querySelectorAll("input[data-mode]")];
   const walks = [...root.querySelectorAll("button[data-walk]")];
-  const points = new Float32Array(model.nPoints * 3);
-  const normals = new Float32Array(model.nPoints * 3);
-  const colours = new Float32Array(model.nPoints * 3);
+  const groups = data.groups ?? [];
   const ramp = data.colours.map(linear);
   const bone = linear(data.bone);
+  const panes = [0, 1].map(() => ["points", "normals", "colours"].map(() => new Float32Array(model.nPoints * 3)));
+  const current = new Float32Array(model.nModes); // sliders show it in steps of 0.1; a patient's scores are kept exactly
   let walk = null;
 
-  const current = new Float32Array(model.nModes); // sliders show it in steps of 0.1; a patient's scores are kept exactly
+  function meanScores(members) {
+    return Array.from(current, (_, k) => members.reduce((sum, i) => sum + (data.scores[i][k] ?? 0), 0) / members.length);
+  }
 
-  function paint(distance, limit) {
+  const isPatient = (key) => /^\d/.test(key);
+
+  /** Scores of a patient ("3") or of the mean of a group ("g0"); null for what is not made from modes. */
+  function scoresOf(key) {
+    return isPatient(key) ? data.scores[Number(key)] : key[0] === "g" ? meanScores(groups[Number(key.slice(1))].members) : null;
+  }
+
+  function pointsOf(key, out) {
+    if (key[0] === "s") out.set(model.shapes[Number(key.slice(1))]);
+    else if (key === "mean") out.set(model.mean);
+    else if (key === "") model.instance(current, out);
+    else model.instance(scoresOf(key), out);
+    return out;
+  }
+
+  function groupColour(key) {
+    const column = $("column").value;
+    const mine = groups.filter((g) => g.column === column);
+    const found = key[0] === "g" ? groups[Number(key.slice(1))] : isPatient(key) ? mine.find((g) => g.members.includes(Number(key))) : null;
+    return found ? linear(found.colour) : bone;
+  }
+
+  function paint(colours, distance, limit) {
     for (let i = 0; i < model.nPoints; i++) {
       const x = Math.min(1, Math.max(0, 0.5 + distance[i] / limit / 2)) * (ramp.length - 1);
       const k = Math.min(ramp.length - 2, Math.floor(x));
@@ -27,26 +54,46 @@ function start(root) {
     }
   }
 
+  const plain = (colours, rgb) => { for (let i = 0; i < colours.length; i++) colours[i] = rgb[i % 3]; };
+  const words = (name) => { const option = $(name).selectedOptions?.[0]; return option ? option.textContent : ""; };
+
   function refresh() {
-    model.instance(current, points);
-    model.normals(points, normals);
-    const mapped = $("colour").value === "distance" && (walk || current.some((s) => s !== 0)); // the mean itself is plain
+    const first = $("patient").value, second = $("other").value;
+    const layout = second ? $("layout").value || "beside" : "one";
+    const how = $("colour").value;
+    const shown = [pointsOf(first[0] === "s" || first === "mean" ? first : "", panes[0][0])];
+    if (second) shown.push(pointsOf(second, panes[1][0]));
+    const maps = shown.map((points, k) => {
+      if (how.startsWith("map")) return k === 0 ? model.maps[Number(how.slice(3))] : null;
+      if (how === "other") return second && k === 0 ? model.distances(points, shown[1]) : null;
+      return how === "distance" ? model.distances(points) : null;
+    }).map((map) => (map && (walk || map.some((x) => x !== 0)) ? map : null)); // the mean itself is plain
+    const limit = walk ? walk.limit : niceCeiling(Math.max(0, ...maps.filter(Boolean).map(robustMaximum)));
+    shown.forEach((points, k) => {
+      const [, normals, colours] = panes[k];
+      model.normals(points, normals);
+      if (maps[k]) paint(colours, maps[k], limit);
+      else plain(colours, how === "group" ? groupColour(k ? second : first) : bone);
+      view.update(k, points, normals, colours, data.landmarks ?? [], [first, second][k]);
+    });
+    view.setLayout(layout);
+    const mapped = maps.some(Boolean);
     $("legend").hidden = !mapped;
     if (mapped) {
-      const distance = model.distances(points);
-      const limit = walk ? walk.limit : niceCeiling(robustMaximum(distance));
-      paint(distance, limit);
+      const about = how.startsWith("map") ? words("colour") : how === "other" ? `Distance from ${words("other")}` : "Distance from the mean";
+      $("caption").textContent = `${about}, ${how.startsWith("map") ? "outwards positive" : "along the outward normal of the mean"}`;
       $("low").textContent = `\u2212${limit} ${data.unit}`;
       $("high").textContent = `+${limit} ${data.unit}`;
-    } else {
-      for (let i = 0; i < colours.length; i++) colours[i] = bone[i % 3];
     }
-    view.update(points, normals, colours);
+    $("name-a").hidden = $("name-b").hidden = layout !== "beside";
+    $("name-a").textContent = words("patient");
+    $("name-b").textContent = words("other");
+    $("layout-row").hidden = !second;
+    $("landmark-key").hidden = !$("landmarks").checked;
     sliders.forEach((s) => {
       const value = current[s.dataset.mode];
       s.value = String(value);
-      const text = `${value > 0 ? "+" : value < 0 ? "\u2212" : ""}${Math.abs(value).toFixed(1)} \u03c3`;
-      s.parentElement.querySelector("output").textContent = text;
+      s.parentElement.querySelector("output").textContent = `${signed(value, 1)} \u03c3`;
       s.setAttribute("aria-valuetext", `${value.toFixed(1)} standard deviations`);
     });
   }
@@ -56,11 +103,6 @@ function start(root) {
     cancelAnimationFrame(walk.frame);
     walk = null;
     walks.forEach((b) => { b.setAttribute("aria-pressed", "false"); b.textContent = "\u25b6"; });
-  }
-
-  function setAll(values) {
-    current.forEach((_, k) => { current[k] = values ? values[k] ?? 0 : 0; });
-    refresh();
   }
 
   sliders.forEach((s) => s.addEventListener("input", () => {
@@ -77,7 +119,7 @@ function start(root) {
     $("patient").value = "";
     current.fill(0);
     current[mode] = 3;
-    const limit = niceCeiling(robustMaximum(model.distances(model.instance(current, points))));
+    const limit = niceCeiling(robustMaximum(model.distances(model.instance(current, panes[0][0]))));
     const begin = performance.now();
     walk = { button, limit, frame: 0 };
     button.setAttribute("aria-pressed", "true");
@@ -90,25 +132,37 @@ function start(root) {
     };
     walk.frame = requestAnimationFrame(tick);
   }));
-  $("reset").addEventListener("click", () => { stop(); $("patient").value = ""; setAll(null); });
-  $("patient").addEventListener("change", (event) => {
+  $("reset").addEventListener("click", () => {
     stop();
-    const row = event.target.value === "" ? null : data.scores[Number(event.target.value)];
-    setAll(row);
+    $("patient").value = "";
+    current.fill(0);
+    refresh();
   });
-  $("colour").addEventListener("change", refresh);
+  $("patient").addEventListener("change", () => {
+    stop();
+    const values = scoresOf($("patient").value);
+    current.forEach((_, k) => { current[k] = values?.[k] ?? 0; });
+    refresh();
+  });
+  for (const name of ["colour", "other", "layout", "column"]) $(name).addEventListener("change", refresh);
   $("pattern").addEventListener("change", (event) => view.setPattern(event.target.value));
+  $("landmarks").addEventListener("change", () => {
+    view.showLandmarks($("landmarks").checked);
+    refresh();
+  });
   root.querySelectorAll("button[data-look]").forEach((b) => b.addEventListener("click", () => view.look(...b.dataset.look.split(",").map(Number))));
   $("picture").addEventListener("click", () => {
     const link = document.createElement("a");
-    link.download = "shape.png";
-    link.href = canvas.toDataURL("image/png");
+    link.download = `${($("patient").value && words("patient").replace(/[^\w.-]+/g, "_")) || "shape"}.png`;
+    link.href = view.snapshot();
     link.click();
   });
-  $("ramp").style.background = `linear-gradient(90deg, ${data.colours.join(",")})`;
+  const bar = root.querySelector("[data-control=ramp]");
+  if (bar) bar.style.background = `linear-gradient(90deg, ${data.colours.join(",")})`;
+  root.querySelectorAll("[data-swatch]").forEach((s) => { s.style.background = s.dataset.swatch; });
   view.resize();
   view.look(...data.look);
-  view.setPattern($("pattern").value);
+  view.setPattern($("pattern").value || "none");
   refresh();
   root.dataset.state = "ready";
 }

@@ -1,7 +1,8 @@
-// The picture: one surface (or curve) with vertex colours, grid lines drawn by the shader, camera and lights.
+// The picture: one or two surfaces (or curves) with vertex colours, grid lines drawn by the shader, landmarks, one camera, lights.
 import {
-  AmbientLight, BufferAttribute, BufferGeometry, Color, DirectionalLight, DoubleSide, HemisphereLight, Line, LineBasicMaterial,
-  Mesh, MeshStandardMaterial, PerspectiveCamera, Scene, Spherical, Sphere, Vector3, WebGLRenderer,
+  AmbientLight, BufferAttribute, BufferGeometry, Color, DirectionalLight, DoubleSide, HemisphereLight, InstancedMesh, Line,
+  LineBasicMaterial, Matrix4, Mesh, MeshBasicMaterial, MeshStandardMaterial, PerspectiveCamera, Scene, Spherical, Sphere, SphereGeometry,
+  Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
@@ -27,8 +28,65 @@ function cornerGrid(model, topology) {
   return out;
 }
 
+/** One shape on the screen: what is drawn of it, and the landmarks that lie on it. */
+class Pane {
+  constructor(view, topology, landmarks) {
+    const { model } = view;
+    this.geometry = new BufferGeometry();
+    const isCurve = model.faces.length === 0;
+    const count = isCurve ? model.nPoints + (topology === "curve-closed" ? 1 : 0) : model.faces.length;
+    this.corners = isCurve ? Uint32Array.from({ length: count }, (_, i) => i % model.nPoints) : model.faces;
+    for (const name of ["position", "normal", "color"]) {
+      this.geometry.setAttribute(name, new BufferAttribute(new Float32Array(count * 3), 3));
+    }
+    if (isCurve) {
+      this.object = new Line(this.geometry, new LineBasicMaterial({ vertexColors: true }));
+    } else {
+      this.geometry.setAttribute("gridPosition", new BufferAttribute(cornerGrid(model, topology), 2));
+      this.object = new Mesh(this.geometry, surfaceMaterial(view.pattern, view.step));
+    }
+    const n = landmarks.reduce((sum, mark) => sum + mark.places.length, 0);
+    this.marks = n ? new InstancedMesh(new SphereGeometry(1, 16, 12), new MeshBasicMaterial(), n) : null;
+    let k = 0;
+    for (const mark of landmarks) for (const _ of mark.places) this.marks.setColorAt(k++, new Color(mark.colour));
+    if (this.marks) this.marks.frustumCulled = false;
+  }
+
+  set visible(on) {
+    this.object.visible = on;
+    if (this.marks) this.marks.visible = on && this.marked;
+  }
+
+  set opacity(value) {
+    this.object.material.transparent = value < 1;
+    this.object.material.depthWrite = value === 1;
+    this.object.material.opacity = value;
+  }
+}
+
+function surfaceMaterial(pattern, step) {
+  const material = new MeshStandardMaterial({ vertexColors: true, side: DoubleSide, roughness: 0.62, metalness: 0 });
+  material.onBeforeCompile = (shader) => {
+    shader.uniforms.pattern = pattern;
+    shader.uniforms.gridStep = step;
+    shader.vertexShader = `attribute vec2 gridPosition; varying vec2 vGrid;\n${shader.vertexShader}`
+      .replace("#include <begin_vertex>", "#include <begin_vertex>\nvGrid = gridPosition;");
+    shader.fragmentShader = `varying vec2 vGrid; uniform int pattern; uniform float gridStep;\n${shader.fragmentShader}`
+      .replace("#include <color_fragment>", `#include <color_fragment>
+        vec2 cell = vGrid / gridStep;
+        if (pattern == 1) {
+          vec2 away = abs(fract(cell - 0.5) - 0.5) / fwidth(cell);
+          diffuseColor.rgb *= mix(0.28, 1.0, smoothstep(0.4, 1.3, min(away.x, away.y)));
+        } else if (pattern == 2) {
+          diffuseColor.rgb *= mod(floor(cell.x + 1e-4) + floor(cell.y + 1e-4), 2.0) < 0.5 ? 0.55 : 1.0;
+        }
+        if (!gl_FrontFacing) diffuseColor.rgb *= 0.6;`);
+  };
+  return material;
+}
+
 export class View {
-  constructor(canvas, model, topology) {
+  constructor(canvas, model, topology, landmarks) {
     this.canvas = canvas;
     this.model = model;
     this.renderer = new WebGLRenderer({ canvas, antialias: true, preserveDrawingBuffer: true });
@@ -38,7 +96,13 @@ export class View {
     this.camera.up.set(0, 0, 1);
     this.pattern = { value: 0 };
     this.step = { value: Math.max(1, Math.round(Math.max(...model.grid) / 16)) };
-    this.#addShape(topology);
+    this.layout = "one";
+    this.panes = [0, 1].map(() => new Pane(this, topology, landmarks));
+    for (const pane of this.panes) {
+      this.scene.add(pane.object);
+      if (pane.marks) this.scene.add(pane.marks);
+      pane.marked = false;
+    }
     this.scene.add(new AmbientLight(0xffffff, 0.35), new HemisphereLight(0xffffff, 0x8a93a0, 0.9));
     this.light = new DirectionalLight(0xffffff, 1.9);
     this.scene.add(this.light, this.light.target);
@@ -54,51 +118,54 @@ export class View {
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
   }
 
-  #addShape(topology) {
-    const { model } = this;
-    this.geometry = new BufferGeometry();
-    this.isCurve = model.faces.length === 0;
-    const count = this.isCurve ? model.nPoints + (topology === "curve-closed" ? 1 : 0) : model.faces.length;
-    this.corners = this.isCurve ? Uint32Array.from({ length: count }, (_, i) => i % model.nPoints) : model.faces;
-    for (const name of ["position", "normal", "color"]) {
-      this.geometry.setAttribute(name, new BufferAttribute(new Float32Array(count * 3), 3));
-    }
-    if (this.isCurve) {
-      this.scene.add(new Line(this.geometry, new LineBasicMaterial({ vertexColors: true })));
-      return;
-    }
-    this.geometry.setAttribute("gridPosition", new BufferAttribute(cornerGrid(model, topology), 2));
-    const material = new MeshStandardMaterial({ vertexColors: true, side: DoubleSide, roughness: 0.62, metalness: 0 });
-    material.onBeforeCompile = (shader) => {
-      shader.uniforms.pattern = this.pattern;
-      shader.uniforms.gridStep = this.step;
-      shader.vertexShader = `attribute vec2 gridPosition; varying vec2 vGrid;\n${shader.vertexShader}`
-        .replace("#include <begin_vertex>", "#include <begin_vertex>\nvGrid = gridPosition;");
-      shader.fragmentShader = `varying vec2 vGrid; uniform int pattern; uniform float gridStep;\n${shader.fragmentShader}`
-        .replace("#include <color_fragment>", `#include <color_fragment>
-          vec2 cell = vGrid / gridStep;
-          if (pattern == 1) {
-            vec2 away = abs(fract(cell - 0.5) - 0.5) / fwidth(cell);
-            diffuseColor.rgb *= mix(0.28, 1.0, smoothstep(0.4, 1.3, min(away.x, away.y)));
-          } else if (pattern == 2) {
-            diffuseColor.rgb *= mod(floor(cell.x + 1e-4) + floor(cell.y + 1e-4), 2.0) < 0.5 ? 0.55 : 1.0;
-          }
-          if (!gl_FrontFacing) diffuseColor.rgb *= 0.6;`);
-    };
-    this.scene.add(new Mesh(this.geometry, material));
-  }
-
-  /** Put points, normals (n, 3) and colours (n, 3, linear) on the screen. */
-  update(points, normals, colours) {
+  /** Put points, normals (n, 3) and colours (n, 3, linear) of pane 0 or 1 on the screen; `key` ("3") is the patient whose marks stand out. */
+  update(which, points, normals, colours, landmarks, key) {
+    const pane = this.panes[which];
     for (const [name, source] of [["position", points], ["normal", normals], ["color", colours]]) {
-      const attribute = this.geometry.getAttribute(name);
-      this.corners.forEach((p, corner) => {
+      const attribute = pane.geometry.getAttribute(name);
+      pane.corners.forEach((p, corner) => {
         for (let d = 0; d < 3; d++) attribute.array[3 * corner + d] = source[3 * p + d];
       });
       attribute.needsUpdate = true;
     }
-    this.geometry.computeBoundingSphere();
+    pane.geometry.computeBoundingSphere();
+    if (pane.marks) {
+      const matrix = new Matrix4(), place = new Vector3();
+      let k = 0;
+      for (const mark of landmarks) {
+        for (const [shape, cell, weights] of mark.places) {
+          place.set(0, 0, 0);
+          cell.forEach((p, j) => place.add(new Vector3(points[3 * p], points[3 * p + 1], points[3 * p + 2]).multiplyScalar(weights[j])));
+          const size = this.ball.radius * (key === String(shape) || key[0] === "s" ? 0.022 : 0.011);
+          matrix.makeScale(size, size, size).setPosition(place);
+          pane.marks.setMatrixAt(k++, matrix);
+        }
+      }
+      pane.marks.instanceMatrix.needsUpdate = true;
+    }
     this.draw();
+  }
+
+  /** "one" shape, two "beside" each other under one camera, or the second drawn "over" the first, half transparent. */
+  setLayout(layout) {
+    if (layout === this.layout) return this.draw();
+    this.layout = layout;
+    this.panes[1].opacity = layout === "over" ? 0.5 : 1;
+    const before = Math.min(1, this.camera.aspect);
+    this.resize();
+    const offset = this.camera.position.clone().sub(this.controls.target).multiplyScalar(before / Math.min(1, this.camera.aspect));
+    this.camera.position.copy(this.controls.target).add(offset); // as large in a narrow pane as it fits
+    this.controls.update();
+  }
+
+  showLandmarks(on) {
+    for (const pane of this.panes) pane.marked = on;
+    this.draw();
+  }
+
+  snapshot() {
+    this.render();
+    return this.canvas.toDataURL("image/png");
   }
 
   setPattern(name) {
@@ -149,7 +216,7 @@ export class View {
     if (!w || !h) return;
     this.renderer.setPixelRatio(Math.min(2, globalThis.devicePixelRatio || 1));
     this.renderer.setSize(w, h, false);
-    this.camera.aspect = w / h;
+    this.camera.aspect = (this.layout === "beside" ? w / 2 : w) / h;
     this.camera.updateProjectionMatrix();
     this.draw();
   }
@@ -159,10 +226,29 @@ export class View {
     this.pending = true;
     requestAnimationFrame(() => {
       this.pending = false;
-      this.light.position.copy(this.camera.position).add(new Vector3(-0.4, 0.2, 0.9).multiplyScalar(this.ball.radius * 2));
-      this.light.target.position.copy(this.ball.center);
-      this.renderer.render(this.scene, this.camera);
+      this.render();
     });
+  }
+
+  render() {
+    this.light.position.copy(this.camera.position).add(new Vector3(-0.4, 0.2, 0.9).multiplyScalar(this.ball.radius * 2));
+    this.light.target.position.copy(this.ball.center);
+    const { clientWidth: w, clientHeight: h } = this.canvas.parentElement;
+    const [first, second] = this.panes;
+    const beside = this.layout === "beside";
+    first.visible = true;
+    second.visible = this.layout === "over";
+    this.renderer.setScissorTest(false);
+    this.renderer.setViewport(0, 0, beside ? w / 2 : w, h);
+    if (!beside) return this.renderer.render(this.scene, this.camera);
+    this.renderer.setScissorTest(true);
+    this.renderer.setScissor(0, 0, w / 2, h);
+    this.renderer.render(this.scene, this.camera);
+    first.visible = false;
+    second.visible = true;
+    this.renderer.setViewport(w / 2, 0, w / 2, h);
+    this.renderer.setScissor(w / 2, 0, w / 2, h);
+    this.renderer.render(this.scene, this.camera);
   }
 }
 

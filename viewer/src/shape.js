@@ -7,14 +7,20 @@ function bytes(base64) {
   return out.buffer;
 }
 
+/** Points that were rounded to multiples of `step` from `offset`. */
+function decoded({ offset, step, data }) {
+  return Float32Array.from(new Uint16Array(bytes(data)), (q, i) => offset[i % 3] + q * step);
+}
+
 export class Model {
   constructor(data) {
     const n = data.n_points * 3;
-    const mean = new Uint16Array(bytes(data.mean.data));
-    this.mean = Float32Array.from(mean, (q, i) => data.mean.offset[i % 3] + q * data.mean.step);
+    this.mean = decoded(data.mean);
     const modes = new Int16Array(bytes(data.modes.data));
     // displacement [mm] for one standard deviation of each mode
     this.modes = data.modes.step.map((step, k) => Float32Array.from(modes.subarray(k * n, (k + 1) * n), (q) => q * step));
+    this.shapes = (data.shapes ?? []).map(decoded); // given point by point, not by modes
+    this.maps = (data.maps ?? []).map(({ step, data: text }) => Float32Array.from(new Int16Array(bytes(text)), (q) => q * step));
     const Index = data.n_points > 65535 ? Uint32Array : Uint16Array;
     this.faces = new Index(bytes(data.faces));
     this.grid = data.grid;
@@ -51,12 +57,12 @@ export class Model {
     return out;
   }
 
-  /** Signed distance [mm] from the mean along the mean's normal; plain distance for curves, which have no normal here. */
-  distances(points) {
+  /** Signed distance [mm] of `points` from `from` along the normals of the mean; plain distance for curves, which have no normal here. */
+  distances(points, from = this.mean) {
     const out = new Float32Array(this.nPoints);
     const flat = this.faces.length === 0;
     for (let i = 0; i < this.nPoints; i++) {
-      const d = [0, 1, 2].map((k) => points[3 * i + k] - this.mean[3 * i + k]);
+      const d = [0, 1, 2].map((k) => points[3 * i + k] - from[3 * i + k]);
       out[i] = flat ? Math.hypot(...d) : d.reduce((sum, x, k) => sum + x * this.meanNormals[3 * i + k], 0);
     }
     return out;

@@ -76,7 +76,9 @@ def render(data: ReportData) -> Section | None:
             else 1.0
         )
         for key, n, f in zip(c.ids, nodes, factors, strict=True):
-            items.append({"id": key, "picture": _grid(n, f, limit), "low": float(f.min()), "high": float(f.max())})
+            items.append(
+                {"id": key, "picture": grid_picture(n, f, limit), "low": float(f.min()), "high": float(f.max())}
+            )
     reference = c.ids[c.reference] if 0 <= c.reference < len(c.ids) else None
     html = fill(
         "grids.html.j2",
@@ -90,7 +92,8 @@ def render(data: ReportData) -> Section | None:
     return Section("grids", "Where the points moved", html)
 
 
-def _grid(nodes: Floats, factors: Floats, limit: float) -> str:
+def grid_picture(nodes: Floats, factors: Floats, limit: float) -> str:
+    """Return the deformed grid, coloured by the binary logarithm of the area factors up to ``limit``; black where it folds."""
     with style():
         made = figure(1.9, 1.9)
         panel = made.add_axes((0.01, 0.01, 0.98, 0.98))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from ssmpipe.contract import Table
 from ssmpipe.report.page import fill
 from ssmpipe.report.section import ReportData, Section
+from ssmpipe.report.units import FILE_UNITS, without_mm
 from ssmpipe.report.wording import CORRESPONDENCE_TITLES
 
 OVERALL = ("all", "overall", "total")
@@ -16,12 +17,15 @@ def render(data: ReportData) -> Section | None:
     if table is None or not table.columns or not len(next(iter(table.columns.values()))):
         return None
     html = fill(
-        "landmarks.html.j2", pivot=_pivot(table), columns=dict(table.columns), unit=data.unit, comment=table.comment
+        "landmarks.html.j2",
+        pivot=_pivot(table, data.unit),
+        columns=dict(table.columns),
+        comment=without_mm(table.comment) if data.unit == FILE_UNITS else table.comment,
     )
     return Section("landmarks", "Landmark transfer", html)
 
 
-def _pivot(table: Table) -> dict | None:
+def _pivot(table: Table, unit: str = "mm") -> dict | None:
     columns = table.columns
     if "landmark" not in columns or "correspondence" not in columns:
         return None
@@ -60,7 +64,7 @@ def _pivot(table: Table) -> dict | None:
     return {
         "common": common,
         "varying": [key.removesuffix("_mm") for key in varying] if in_mm else varying,
-        "unit": "mm" if in_mm else "",
+        "unit": unit if in_mm else "",
         "groups": [CORRESPONDENCE_TITLES.get(name, name.replace("_", " ").replace("-", " ")) for name in names],
         "rows": rows,
     }

@@ -53,6 +53,7 @@ def render(data: ReportData) -> Section | None:
         cohort_stages=data.record.get("cohort_stages") or [],
         has_fit=any(row["rms"] is not None for row in rows),
         unit=data.unit,
+        pages=data.pages,
     )
     return Section("shapes", "Shapes through the stages", html)
 

@@ -1,0 +1,139 @@
+"""How far one surface (or curve) lies from another: figures per direction, by area."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssmpipe.core.arrays import Floats, Ints
+from ssmpipe.core.evaluation.landmark_transfer import locate
+from ssmpipe.core.mesh.distance import sample_surface
+from ssmpipe.core.mesh.grid import grid_faces
+from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.core.outline.outline import edge_indices
+from ssmpipe.core.spline.curve import BSplineCurve
+from ssmpipe.core.spline.fit import surface_grid
+from ssmpipe.core.spline.fit_curve import curve_points
+from ssmpipe.core.spline.surface import BSplineSurface
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """A surface of triangles or a curve of edges.
+
+    Parameters
+    ----------
+    points : (n, d) float64
+        [mm].
+    cells : (n_F, 3) or (n_E, 2) int64
+
+    Examples
+    --------
+    >>> Geometry(np.array([[0, 0], [3.0, 4]]), np.array([[0, 1]])).diagonal
+    5.0
+    """
+
+    points: Floats
+    cells: Ints
+
+    @property
+    def diagonal(self) -> float:
+        """Diagonal of the bounding box [mm]."""
+        return float(np.linalg.norm(np.ptp(self.points, axis=0)))
+
+    def moved(self, matrix: Floats) -> Geometry:
+        """Return it moved by a (4, 4) homogeneous matrix, of which a planar curve uses the part in the plane.
+
+        Triangles are turned over when the matrix mirrors, so that the outside stays outside.
+        """
+        d = self.points.shape[1]
+        mirrored = self.cells.shape[1] == 3 and np.linalg.det(matrix[:3, :3]) < 0
+        return Geometry(self.points @ matrix[:d, :d].T + matrix[:d, 3], self.cells[:, ::-1] if mirrored else self.cells)
+
+
+@dataclass(frozen=True)
+class Distances:
+    """Distances of one direction [mm]; mean, median and 99th percentile weigh by area (or length)."""
+
+    mean: float
+    median: float
+    p99: float
+    maximum: float
+
+
+def spread(geometry: Geometry, n: int) -> Floats:
+    """Return ``n`` points spread evenly over the area, or the length, of a geometry; the same ones every time.
+
+    Examples
+    --------
+    >>> spread(Geometry(np.array([[0, 0], [4.0, 0]]), np.array([[0, 1]])), 2)
+    array([[1., 0.],
+           [3., 0.]])
+    """
+    if geometry.cells.shape[1] == 3:
+        return sample_surface(TriMesh(geometry.points, geometry.cells), n, seed=0)[0]
+    start, end = (geometry.points[geometry.cells[:, k]] for k in (0, 1))
+    sums = np.concatenate([[0.0], np.cumsum(np.linalg.norm(end - start, axis=1))])
+    at = (np.arange(n) + 0.5) / n * sums[-1]
+    cell = np.clip(np.searchsorted(sums, at, side="right") - 1, 0, len(start) - 1)
+    share = (at - sums[cell]) / np.maximum(sums[cell + 1] - sums[cell], np.finfo(float).tiny)
+    return np.asarray(start[cell] + share[:, None] * (end - start)[cell])
+
+
+def distances(source: Geometry, target: Geometry, n_samples: int = 10000) -> Distances:
+    """Measure from the points of ``source`` to the nearest place on ``target`` (to the surface, not to its vertices).
+
+    Parameters
+    ----------
+    source, target : Geometry
+    n_samples : int, default=10000
+        Points spread evenly over the source for mean, median and percentile; its vertices join them for the maximum.
+
+    Examples
+    --------
+    >>> square = Geometry(np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]]), np.array([[0, 1, 2], [0, 2, 3]]))
+    >>> distances(square, Geometry(square.points + [0, 0, 2], square.cells), 10)
+    Distances(mean=2.0, median=2.0, p99=2.0, maximum=2.0)
+    """
+    points = np.concatenate([spread(source, n_samples), source.points])
+    found = locate(points, target.points, target.cells)[0]
+    even = found[:n_samples]
+    return Distances(float(even.mean()), float(np.median(even)), float(np.percentile(even, 99)), float(found.max()))
+
+
+def signed_distances(points: Floats, target: Geometry) -> Floats:
+    """Return the distance of every point from a surface, negative on the inner side of the nearest face; plain from a curve.
+
+    Examples
+    --------
+    >>> flat = Geometry(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]), np.array([[0, 1, 2]]))
+    >>> signed_distances(np.array([[0.2, 0.2, 0.5], [0.2, 0.2, -0.5]]), flat)
+    array([ 0.5, -0.5])
+    """
+    distance, cell, weights = locate(points, target.points, target.cells)
+    if target.cells.shape[1] != 3:
+        return distance
+    a, b, c = (target.points[target.cells[cell, k]] for k in range(3))
+    nearest = weights[:, :1] * a + weights[:, 1:2] * b + weights[:, 2:] * c
+    side = ((points - nearest) * np.cross(b - a, c - a)).sum(axis=1)
+    return np.where(side < 0, -distance, distance)
+
+
+def dense_spline(spline: BSplineSurface | BSplineCurve) -> Geometry:
+    """Return a spline as triangles or edges, four per control point and direction (twenty on a curve).
+
+    Examples
+    --------
+    >>> line = BSplineCurve(1, np.array([0, 0, 1, 1.0]), np.array([[0.0, 0], [2, 0]]))
+    >>> len(dense_spline(line).cells)
+    40
+    """
+    if isinstance(spline, BSplineCurve):
+        points = curve_points(spline, np.linspace(0.0, 1.0, 20 * len(spline.control_points) + 1))
+        return Geometry(points, edge_indices(len(points), False))
+    n_u, n_v = (4 * n + 1 for n in spline.control_points.shape[:2])
+    grid = surface_grid(spline, n_u, n_v).reshape(n_u * n_v, -1)
+    if grid.shape[1] == 2:
+        grid = np.pad(grid, ((0, 0), (0, 1)))
+    return Geometry(grid, grid_faces(n_u, n_v))

@@ -1,0 +1,50 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ssmpipe.core.evaluation.quality import Geometry, distances, signed_distances, spread
+from ssmpipe.core.outline.outline import edge_indices
+from tests.support.small_run import grid_faces
+
+
+def ball(radius: float, n: int = 60, top: float = np.pi) -> Geometry:
+    theta, phi = np.meshgrid(np.linspace(0.01, top - 0.01, n), np.linspace(0, 2 * np.pi, n), indexing="ij")
+    points = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+    return Geometry(radius * points.reshape(-1, 3), grid_faces(n, n)[:, ::-1])
+
+
+def test_concentric_balls_are_their_difference_apart_both_ways() -> None:
+    small, large = ball(10.0), ball(12.0)
+    for a, b in ((small, large), (large, small)):
+        found = distances(a, b)
+        for value in (found.mean, found.median, found.p99, found.maximum):
+            assert value == pytest.approx(2.0, abs=0.04)  # the facets of a sphere of 60 x 60
+    assert signed_distances(small.points, large) == pytest.approx(-2.0, abs=0.04)
+    assert signed_distances(large.points, small) == pytest.approx(2.0, abs=0.04)
+
+
+def test_one_direction_alone_hides_a_gap() -> None:
+    whole, half = ball(10.0), ball(10.0, top=np.pi / 2)
+    assert distances(half, whole).p99 < 0.05
+    missing = distances(whole, half)
+    # the far pole of a ball of radius 10 is 10 sqrt(2) from the rim of the half
+    assert missing.maximum == pytest.approx(10 * np.sqrt(2), rel=0.02)
+    assert missing.median < 0.2 < missing.mean
+
+
+def test_dense_vertices_do_not_weigh_more() -> None:
+    side = np.concatenate([np.linspace(0, 0.1, 200), np.linspace(0.12, 1, 20)])
+    x, y = np.meshgrid(side, np.linspace(0, 1, 3), indexing="ij")
+    plane = Geometry(np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3), grid_faces(len(side), 3))
+    tilted = Geometry(np.array([[0, -1, 0], [0, 2, 0], [2, 2, 2.0], [2, -1, 2.0]]), np.array([[0, 1, 2], [0, 2, 3]]))
+    # distance from (x, y, 0) to the plane z = x is x / sqrt(2): mean over the area 1 / (2 sqrt(2))
+    assert distances(plane, tilted).mean == pytest.approx(0.5 / np.sqrt(2), rel=0.01)
+
+
+def test_curves_by_length() -> None:
+    angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    edges = edge_indices(400, True)
+    assert distances(Geometry(ring, edges), Geometry(1.5 * ring, edges)).mean == pytest.approx(0.5, abs=1e-3)
+    assert np.abs(np.linalg.norm(spread(Geometry(ring, edges), 1000), axis=1) - 1).max() < 1e-3
