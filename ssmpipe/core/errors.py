@@ -13,19 +13,27 @@ class SsmpipeError(Exception):
     remedy : str, optional
         What the user can do about it. The runner adds patient, stage and file.
 
+    Characters that a terminal could obey, or that cannot be written, become "?": facts quote what stands in files.
+
     Examples
     --------
     >>> str(SsmpipeError("the mesh has 2 components", "keep the largest with repair.components=largest"))
     'the mesh has 2 components; try: keep the largest with repair.components=largest'
+    >>> str(SsmpipeError("the id is 'a\\x1b[2J'"))
+    "the id is 'a?[2J'"
     """
 
     def __init__(self, fact: str, remedy: str | None = None) -> None:
-        self.fact = fact
-        self.remedy = remedy
-        super().__init__(fact if remedy is None else f"{fact}; try: {remedy}")
+        self.fact = _plain(fact)
+        self.remedy = None if remedy is None else _plain(remedy)
+        super().__init__(self.fact if self.remedy is None else f"{self.fact}; try: {self.remedy}")
 
     def __reduce__(self) -> tuple[type, tuple[str, str | None]]:
         return (type(self), (self.fact, self.remedy))
+
+
+def _plain(text: str) -> str:
+    return text if text.isprintable() else "".join(c if c.isprintable() or c in "\n\u00a0" else "?" for c in text)
 
 
 class ConfigError(SsmpipeError):

@@ -13,6 +13,10 @@ from numpy.lib import format as npy
 from ssmpipe.core.errors import ArtifactError
 
 MAX_BYTES = 4 * 2**30
+MAX_RATIO = 100
+"""Largest ratio of unpacked to packed bytes of a member above 64 MiB; this package stores its arrays unpacked."""
+
+_SMALL = 64 * 2**20
 _REMEDY = "make it again, or copy it again from where it came"
 
 
@@ -46,7 +50,15 @@ def read_npz(path: Path, names: Sequence[str] = ()) -> dict[str, np.ndarray]:
             total = sum(info.file_size for info in archive.infolist())
             if total > MAX_BYTES:
                 raise ArtifactError(f"{path.name} declares {total} bytes of arrays, at most {MAX_BYTES} are read")
+            names_in = [info.filename for info in archive.infolist()]
+            if len(set(names_in)) < len(names_in):
+                raise ArtifactError(f"{path.name} holds an array twice", _REMEDY)
             for info in archive.infolist():
+                if info.file_size > _SMALL and info.file_size > MAX_RATIO * max(info.compress_size, 1):
+                    raise ArtifactError(
+                        f"{path.name}: '{info.filename}' unpacks to {info.file_size} bytes from {info.compress_size}",
+                        "store it without compression (numpy.savez)",
+                    )
                 _check_member(archive, info)
         with np.load(path, allow_pickle=False) as data:
             arrays = {name: data[name] for name in data.files}
@@ -71,8 +83,8 @@ def _check_member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> None:
         read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
         shape, _, dtype = read(member)
         if dtype.hasobject:
-            raise ArtifactError(f"'{info.filename}' holds Python objects, which are never loaded")
+            raise ArtifactError(f"'{info.filename}' holds Python objects, which are never loaded", _REMEDY)
         declared = int(np.prod(np.array(shape, dtype=object))) * dtype.itemsize
         present = info.file_size - member.tell()
-    if declared != present:
+    if min(shape, default=0) < 0 or declared != present:
         raise ArtifactError(f"'{info.filename}' declares {declared} bytes, {present} are there", _REMEDY)

@@ -112,7 +112,7 @@ def read_json(path: Path) -> Any:
     """Read JSON; an unreadable file is an ArtifactError that names it."""
     try:
         return json.loads(read_text(path))
-    except (json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         raise ArtifactError(f"{path.name} is not readable JSON ({str(error)[:100]})", "run the stage again") from error
 
 

@@ -21,6 +21,10 @@ IMAGE_SUFFIXES = tuple(_FORMATS)
 
 MAX_BYTES = 512 * 2**20
 MAX_PIXELS = 100_000_000
+MAX_RATIO = 500
+"""Largest number of pixels per byte of a file that has more than 20 million of them; masks reach some hundreds."""
+
+_MANY_PIXELS = 20_000_000
 _TOO_MANY = f"at most {MAX_PIXELS // 10**6} million are read"
 _AGAIN = "open it in an image viewer and save it again as PNG"
 _TURNS = {2: "mirrored", 3: "turned by 180 degrees", 4: "mirrored and turned by 180 degrees", 5: "mirrored and turned",
@@ -95,6 +99,11 @@ def _opened(path: Path, *, load: bool) -> tuple[Any, str]:
                 if width * height > MAX_PIXELS:
                     raise ArtifactError(
                         f"the image has {width} x {height} pixels, {_TOO_MANY}",
+                        "make it smaller first",
+                    )
+                if width * height > max(_MANY_PIXELS, MAX_RATIO * path.stat().st_size):
+                    raise ArtifactError(
+                        f"the image has {width} x {height} pixels in {path.stat().st_size} bytes, which no photograph has",
                         "make it smaller first",
                     )
                 n_pages = getattr(image, "n_frames", 1) if image.format != "MPO" else 1

@@ -20,12 +20,16 @@ import numpy as np
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.errors import ArtifactError
 from ssmpipe.io.point_lists import point_names, read_asf, read_pts
-from ssmpipe.io.tables import read_rows, read_text
+from ssmpipe.io.tables import read_rows, read_text, text_lines
 
 _NOT_PLACED = ("", "na", "nan", "n/a", "-")
+_TABLE = 'write it as {"id": {"name": [x, y, z]}}'
 LandmarkTable = dict[str, dict[str, Floats]]
 
 _TO_LPS = {"LPS": (1.0, 1.0, 1.0), "1": (1.0, 1.0, 1.0), "RAS": (-1.0, -1.0, 1.0), "0": (-1.0, -1.0, 1.0)}
+_MAX_ELEMENTS = 200_000
+_MAX_ELEMENT = 100_000
+_MAX_NAME = 200
 _FCSV_COLUMNS = ["id", "x", "y", "z", "ow", "ox", "oy", "oz", "vis", "sel", "lock", "label"]
 
 
@@ -84,6 +88,8 @@ def _read_file(path: Path) -> LandmarkTable:
         raise ArtifactError(
             f"{path.name}: unknown kind of landmark file", "use .json, .csv, .fcsv, .mrk.json, .pp, .asf or .pts"
         )
+    if path.is_file() and path.stat().st_size == 0:
+        raise ArtifactError(f"{path.name} is empty", "save the landmarks again")
     return read(path)
 
 
@@ -100,7 +106,7 @@ def _point(coordinates: Any, where: str, signs: tuple[float, float, float] = (1.
         numbers = [float(c) for c in coordinates if not isinstance(c, bool)]
         if isinstance(coordinates, str | dict) or len(numbers) != len(coordinates):
             raise TypeError
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ArtifactError(f"{where}: '{str(coordinates)[:60]}' is not a point", "write it as [x, y, z]") from error
     if len(numbers) not in (2, 3):
         raise ArtifactError(
@@ -114,6 +120,10 @@ def _point(coordinates: Any, where: str, signs: tuple[float, float, float] = (1.
 def _add(points: dict[str, Floats], name: Any, point: Floats, where: str) -> None:
     if not isinstance(name, str) or not name.strip():
         raise ArtifactError(f"{where}: a landmark has no name", "name every landmark")
+    if len(name) > _MAX_NAME or any(ord(c) < 32 or 0xD800 <= ord(c) < 0xE000 for c in name.strip()):
+        raise ArtifactError(
+            f"{where}: {ascii(name)[:40]} cannot be the name of a landmark", "give it a short plain name"
+        )
     if name.strip() in points:
         raise ArtifactError(f"{where}: landmark '{name.strip()}' occurs twice", "rename or remove one of them")
     points[name.strip()] = point
@@ -129,9 +139,13 @@ def _signs(frame: Any, where: str) -> tuple[float, float, float]:
 
 
 def _read_json(path: Path) -> LandmarkTable:
+    text = read_text(path)
+    n_lists = text.count("[") + text.count("{")
+    if n_lists > 1000 + len(text) // 8:  # a point with its name takes more than 8 characters
+        raise ArtifactError(f"{path.name} has {n_lists} lists in {len(text)} characters, no landmark table", _TABLE)
     try:
-        content = json.loads(read_text(path))
-    except (json.JSONDecodeError, RecursionError) as error:
+        content = json.loads(text, object_pairs_hook=lambda pairs: _once(pairs, path.name))
+    except (ValueError, RecursionError) as error:
         raise ArtifactError(
             f"{path.name} is not readable JSON ({str(error)[:100]})", "check it near that place"
         ) from error
@@ -140,7 +154,7 @@ def _read_json(path: Path) -> LandmarkTable:
     if isinstance(content, list):
         return {_shape_id(path): _list_points(content, path)}
     if not isinstance(content, dict) or not all(isinstance(v, dict) for v in content.values()):
-        raise ArtifactError(f"{path.name} is not a landmark table", 'write it as {"id": {"name": [x, y, z]}}')
+        raise ArtifactError(f"{path.name} is not a landmark table", _TABLE)
     table: LandmarkTable = {}
     for shape_id, named in content.items():
         table[shape_id] = {}
@@ -148,6 +162,16 @@ def _read_json(path: Path) -> LandmarkTable:
             point = _point(coordinates, f"{path.name}, shape '{shape_id}', landmark '{name}'")
             _add(table[shape_id], name, point, f"{path.name}, shape '{shape_id}'")
     return table
+
+
+def _once(pairs: list[tuple[str, Any]], name: str) -> dict[str, Any]:
+    """Return a JSON object; a key that occurs twice is refused, since one of its values would be lost."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        seen: set[str] = set()
+        twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
+        raise ArtifactError(f"{name}: {ascii(twice)[:60]} occurs twice in one place", "rename or remove one of them")
+    return found
 
 
 def _list_points(items: list[Any], path: Path) -> dict[str, Floats]:
@@ -181,7 +205,7 @@ def _slicer_points(markups: list[Any], path: Path) -> dict[str, Floats]:
 def _read_fcsv(path: Path) -> LandmarkTable:
     signs, columns = _TO_LPS["RAS"], _FCSV_COLUMNS
     points: dict[str, Floats] = {}
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
+    for number, line in enumerate(text_lines(read_text(path)), start=1):
         if line.startswith("#"):
             key, _, value = line[1:].partition("=")
             if key.strip().lower() == "coordinatesystem":
@@ -191,7 +215,10 @@ def _read_fcsv(path: Path) -> LandmarkTable:
             continue
         if not line.strip():
             continue
-        row = dict(zip(columns, next(csv.reader([line])), strict=False))
+        try:
+            row = dict(zip(columns, next(csv.reader([line])), strict=False))
+        except csv.Error as error:
+            raise ArtifactError(f"{path.name}, line {number}: {error}", "save it again from Slicer") from error
         if not {"x", "y", "z", "label"} <= row.keys():
             raise ArtifactError(f"{path.name}, line {number}: no x, y, z and label", "save it again from Slicer")
         where = f"{path.name}, line {number}, landmark '{row['label']}'"
@@ -223,9 +250,14 @@ def _read_pp(path: Path) -> LandmarkTable:
     text = read_text(path)
     if "<!ENTITY" in text:
         raise ArtifactError(f"{path.name} defines XML entities", "save it again from MeshLab")
+    if text.count("<") > _MAX_ELEMENTS:
+        raise ArtifactError(f"{path.name} has more than {_MAX_ELEMENTS} elements", "save it again from MeshLab")
+    longest = max((len(part) for part in text.split("<")), default=0)
+    if longest > _MAX_ELEMENT:
+        raise ArtifactError(f"{path.name} has an element of {longest} characters", "save it again from MeshLab")
     try:
         root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise ArtifactError(f"{path.name} is not readable XML ({error})", "save it again from MeshLab") from error
     points: dict[str, Floats] = {}
     for point in root.iter("point"):

@@ -10,7 +10,7 @@ import numpy as np
 
 from ssmpipe.core.errors import ArtifactError, GeometryError
 from ssmpipe.core.outline.outline import Outline
-from ssmpipe.io.point_lists import number_in, read_asf, read_pts
+from ssmpipe.io.point_lists import MAX_POINTS, number_in, read_asf, read_pts
 from ssmpipe.io.tables import read_rows, read_text
 
 OUTLINE_SUFFIXES = (".csv", ".pts", ".asf")
@@ -69,7 +69,12 @@ def _read_csv(path: Path) -> np.ndarray:
     if "landmark" in names:
         raise ArtifactError(f"{path.name} is a table of landmarks, not an outline", "give it as input.landmarks")
     at = names.index("x"), names.index("y")
-    return np.array([[number_in(cells[k], f"{path.name}, line {line}") for k in at] for line, cells in rows])
+    points: list[list[float]] = []
+    for line, cells in rows:
+        if len(points) >= MAX_POINTS:
+            raise ArtifactError(f"{path.name} has more than {MAX_POINTS} points", "take every tenth point")
+        points.append([number_in(cells[k], f"{path.name}, line {line}") for k in at])
+    return np.array(points)
 
 
 def write_outline(path: Path, outline: Outline) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,13 @@ import numpy as np
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.errors import ArtifactError
 from ssmpipe.io.images import IMAGE_SUFFIXES, image_size
-from ssmpipe.io.tables import read_text
+from ssmpipe.io.tables import read_text, text_lines
 
 _OPEN_PATH = 4  # bit of the type
+MAX_POINTS = 300_000
+"""Largest number of points of one outline."""
+
+_MAX_DIGITS = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,18 +73,23 @@ def read_pts(path: Path) -> Floats:
             raise ArtifactError(f"{path.name}: the closing brace is missing", "the file is cut off, copy it again")
         for line in head.lower().splitlines():
             key, _, value = line.partition(":")
-            if key.strip() == "n_points" and value.strip().isdigit():
-                promised = int(value)
-    rows = [(number, line.split()) for number, line in enumerate(inside.splitlines(), start=1) if line.strip()]
-    rows = [(number, cells) for number, cells in rows if not cells[0].startswith("#")]
-    for number, cells in rows:
+            if key.strip() == "n_points":
+                promised = _count(value)
+    points: list[list[float]] = []
+    for number, line in enumerate(text_lines(inside), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        where = f"{path.name}, point line {number}"
+        if len(points) >= MAX_POINTS:
+            raise ArtifactError(f"{path.name} has more than {MAX_POINTS} points", "take every tenth point")
+        cells = line.split(maxsplit=2)
         if len(cells) != 2:
-            raise ArtifactError(f"{path.name}, point line {number}: {len(cells)} numbers, need 2", "write x y")
-    if promised is not None and promised != len(rows):
+            raise ArtifactError(f"{where}: {len(line.split(maxsplit=100))} numbers, need 2", "write x y")
+        points.append([number_in(cell, where) for cell in cells])
+    if promised is not None and promised != len(points):
         raise ArtifactError(
-            f"{path.name} promises {promised} points and has {len(rows)}", "the file is cut off, copy it again"
+            f"{path.name} promises {promised} points and has {len(points)}", "the file is cut off, copy it again"
         )
-    points = [[number_in(cell, f"{path.name}, point line {number}") for cell in cells] for number, cells in rows]
     return np.array(points, dtype=np.float64).reshape(-1, 2)
 
 
@@ -97,24 +107,27 @@ def read_asf(path: Path, remarks: list[str] | None = None) -> Annotation:
     ArtifactError
         Naming file and line; also when the points form several paths.
     """
-    lines = [(k, line.strip()) for k, line in enumerate(read_text(path).splitlines(), start=1)]
-    lines = [(k, line) for k, line in lines if line and not line.startswith("#")]
-    if not lines or not lines[0][1].isdigit():
+    lines = (
+        (k, line.strip())
+        for k, line in enumerate(text_lines(read_text(path)), start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    )
+    n = _count(next(lines, (0, ""))[1])
+    if n is None:
         raise ArtifactError(
             f"{path.name} does not begin with a number of points", "check that it is an .asf file of the AAM-API"
         )
-    n = int(lines[0][1])
-    rows, rest = lines[1 : n + 1], lines[n + 1 :]
-    short = next((k for k, line in rows if len(line.split()) < 7), None)
-    if len(rows) < n or short is not None:
-        where = f", line {short}" if short is not None else ""
-        raise ArtifactError(
-            f"{path.name}{where}: {n} points of 7 numbers each are promised, not all are there",
-            "the file is cut off, copy it again",
-        )
-    table = np.array(
-        [[number_in(cell, f"{path.name}, line {k}") for cell in line.split()[:7]] for k, line in rows]
-    ).reshape(-1, 7)
+    rows: list[list[float]] = []
+    for k, line in islice(lines, n):
+        cells = line.split(maxsplit=7)[:7]
+        if len(rows) >= MAX_POINTS:
+            raise ArtifactError(f"{path.name} has more than {MAX_POINTS} points", "take every tenth point")
+        if len(cells) < 7:
+            raise _fewer(f"{path.name}, line {k}", n)
+        rows.append([number_in(cell, f"{path.name}, line {k}") for cell in cells])
+    if len(rows) < n:
+        raise _fewer(path.name, n)
+    table = np.array(rows).reshape(-1, 7)
     paths = np.unique(table[:, 0])
     if len(paths) > 1:
         counts = ", ".join(str(int((table[:, 0] == p).sum())) for p in paths)
@@ -124,7 +137,7 @@ def read_asf(path: Path, remarks: list[str] | None = None) -> Annotation:
         )
     closed = bool(n) and not np.any(table[:, 1].astype(int) & _OPEN_PATH)
     points = table[:, 2:4]
-    name = rest[0][1] if rest else ""
+    name = next(lines, (0, ""))[1]
     picture = _picture_beside(path, name)
     if picture is None:
         if remarks is not None:
@@ -134,6 +147,17 @@ def read_asf(path: Path, remarks: list[str] | None = None) -> Annotation:
             )
         return Annotation(points, closed, False)
     return Annotation(points * np.array(image_size(picture), dtype=np.float64), closed, True)
+
+
+def _count(text: str) -> int | None:
+    text = text.strip()
+    return int(text) if text.isascii() and text.isdigit() and len(text) <= _MAX_DIGITS else None
+
+
+def _fewer(where: str, n: int) -> ArtifactError:
+    return ArtifactError(
+        f"{where}: {n} points of 7 numbers each are promised, not all are there", "the file is cut off, copy it again"
+    )
 
 
 def _picture_beside(path: Path, name: str) -> Path | None:

@@ -28,9 +28,14 @@ def read_spline(path: Path) -> BSplineCurve | BSplineSurface:
         If an array is missing, not numeric, or the knots do not fit the control points.
     """
     arrays = read_npz(path, ("degree", "knots_u", "control_points"))
+    for name in ("degree", "knots_u", "knots_v", "control_points"):
+        if name in arrays and arrays[name].dtype.kind not in "iuf":
+            raise ArtifactError(f"{path.name}: '{name}' holds no real numbers ({arrays[name].dtype})", "store floats")
     degree = arrays["degree"].reshape(-1)
     if degree.size not in (1, 2) or degree.dtype.kind not in "iu" or degree.min() < 1:
-        raise ArtifactError(f"{path.name}: degree must be one or two whole numbers above 0, got {degree.tolist()[:4]}")
+        raise ArtifactError(
+            f"{path.name}: degree must be one or two whole numbers above 0, got {degree.tolist()[:4]}", "check the file"
+        )
     if "knots_v" not in arrays and arrays["control_points"].ndim == 3:
         raise ArtifactError(f"{path.name}: a surface needs 'knots_v'", "add the knots of the second direction")
     try:
@@ -40,7 +45,7 @@ def read_spline(path: Path) -> BSplineCurve | BSplineSurface:
             (int(degree[0]), int(degree[-1])), arrays["knots_u"], arrays["knots_v"], arrays["control_points"]
         )
     except (GeometryError, ValueError, TypeError) as error:
-        raise ArtifactError(f"{path.name}: {error}") from error
+        raise ArtifactError(f"{path.name}: {str(error).removesuffix('.')}", "check the file") from error
 
 
 def read_surface(path: Path) -> BSplineSurface:

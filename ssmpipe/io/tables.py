@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from ssmpipe.core.errors import ArtifactError
 MAX_BYTES = 256 * 2**20
 # columns of the cohort table that mean something to the software, in whatever case they are written
 COHORT_COLUMNS = ("id", "path", "side", "group", "subject")
+MAX_COLUMNS = 10_000
 
 
 def read_text(path: Path) -> str:
@@ -39,8 +41,21 @@ def read_text(path: Path) -> str:
         raise ArtifactError(f"{path.name} cannot be read ({error.strerror or error})", "check the path") from error
 
 
-def read_rows(path: Path, key: str, known: Sequence[str] = ()) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Return the header and the (line number, cells) of a CSV file whose header has the column ``key``.
+def text_lines(text: str) -> Iterator[str]:
+    """Return the lines of a text one after the other, each with its end; nothing is held but the text.
+
+    Examples
+    --------
+    >>> list(text_lines("a\\r\\nb"))
+    ['a\\r\\n', 'b']
+    """
+    return iter(io.StringIO(text, newline=""))
+
+
+def read_rows(
+    path: Path, key: str, known: Sequence[str] = ()
+) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
+    """Return the header and, one by one, the (line number, cells) of a CSV file whose header has the column ``key``.
 
     The delimiter is the one of ``, ; tab`` that makes ``key`` a column. ``key`` and the ``known`` columns are returned in lower case,
     others as they are written. Lines that are empty or start with ``#``
@@ -51,42 +66,48 @@ def read_rows(path: Path, key: str, known: Sequence[str] = ()) -> tuple[list[str
     ArtifactError
         If no header has the column, a column is named twice, or a row has another number of cells; names the line.
     """
-    lines = read_text(path).splitlines(keepends=True)
-    start = next((i for i, line in enumerate(lines) if line.strip() and not line.startswith(("#", "sep="))), None)
-    if start is None:
+    lines = text_lines(read_text(path))
+    numbered = ((k, line) for k, line in enumerate(lines, start=1) if line.strip())
+    start, first = next(((k, line) for k, line in numbered if not line.startswith(("#", "sep="))), (0, ""))
+    if not first:
         raise ArtifactError(f"{path.name} is empty", f"give it a header line with the column '{key}'")
+    if max(first.count(delimiter) for delimiter in ",;\t") >= MAX_COLUMNS:
+        raise ArtifactError(f"{path.name}, line {start}: more than {MAX_COLUMNS} columns", "save it as CSV again")
     header: list[str] = []
     for delimiter in ",;\t":
-        header = [cell.strip() for cell in next(csv.reader([lines[start]], delimiter=delimiter))]
+        try:
+            header = [cell.strip() for cell in next(csv.reader([first], delimiter=delimiter))]
+        except csv.Error as error:
+            raise ArtifactError(f"{path.name}, line {start}: {error}", "save it as CSV again") from error
         if key in [cell.lower() for cell in header]:
             break
     else:
         raise ArtifactError(
-            f"{path.name}, line {start + 1}: no column '{key}' in '{lines[start].strip()[:80]}'",
+            f"{path.name}, line {start}: no column '{key}' in '{first.strip()[:80]}'",
             f"name the columns in the first line, separated by , or ; and call one of them '{key}'",
         )
     header = [cell.lower() if cell.lower() in (key, *known) else cell for cell in header]
-    twice = sorted({cell for cell in header if header.count(cell) > 1})
+    twice = sorted(cell for cell, n in Counter(header).items() if n > 1)
     if twice:
-        raise ArtifactError(f"{path.name}, line {start + 1}: column '{twice[0]}' occurs twice", "rename one of them")
-    rows = []
-    reader = csv.reader(io.StringIO("".join(lines[start + 1 :])), delimiter=delimiter, strict=True)
+        raise ArtifactError(f"{path.name}, line {start}: column '{twice[0]}' occurs twice", "rename one of them")
+    return header, _rows(path.name, lines, start, delimiter, len(header))
+
+
+def _rows(name: str, lines: Iterator[str], start: int, delimiter: str, width: int) -> Iterator[tuple[int, list[str]]]:
+    reader = csv.reader(lines, delimiter=delimiter, strict=True)
     try:
         for cells in reader:
-            line = start + 1 + reader.line_num
+            line = start + reader.line_num
             if not any(cell.strip() for cell in cells):
                 continue
-            if len(cells) != len(header):
+            if len(cells) != width:
                 raise ArtifactError(
-                    f"{path.name}, line {line}: {len(cells)} cells, the header has {len(header)}",
+                    f"{name}, line {line}: {len(cells)} cells, the header has {width}",
                     "quote cells that contain the delimiter",
                 )
-            rows.append((line, [cell.strip() for cell in cells]))
+            yield line, [cell.strip() for cell in cells]
     except csv.Error as error:
-        raise ArtifactError(
-            f"{path.name}, line {start + 1 + reader.line_num}: {error}", "save it as CSV again"
-        ) from error
-    return header, rows
+        raise ArtifactError(f"{name}, line {start + reader.line_num}: {error}", "save it as CSV again") from error
 
 
 def read_cohort(path: Path) -> dict[str, dict[str, str]]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.errors import ArtifactError
-from ssmpipe.io.mesh_formats.polygons import EXPORT_AGAIN, to_floats, triangulate
+from ssmpipe.io.mesh_formats.polygons import EXPORT_AGAIN, MAX_CORNERS, to_floats, triangulate
 
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
@@ -135,18 +135,51 @@ def _same_lengths(rows: np.ndarray, element: _Element) -> bool:
 
 
 def _walk_rows(data: bytes, start: int, element: _Element, order: str) -> tuple[dict[str, Any], int]:
-    """Read rows whose lists differ in length, one by one."""
-    values: dict[str, list[Any]] = {name: [] for name, _, _ in element.properties}
+    """Read rows whose lists differ in length: one walk over the lengths, then all values at once."""
+    places: dict[str, list[int]] = {name: [] for name, _, _ in element.properties}
+    lengths: dict[str, list[int]] = {name: [] for name, _, kind in element.properties if kind is not None}
+    endian: Literal["big", "little"] = "big" if order == ">" else "little"
+    layout = [
+        (name, np.dtype(kind).itemsize, np.dtype(count or "u1").itemsize if count else 0, (count or "").startswith("i"))
+        for name, kind, count in element.properties
+    ]
     for _ in range(element.count):
-        lengths = _first_lengths(data, start, element, order)
-        dtype = element.dtype(order, lengths)
-        if start + dtype.itemsize > len(data):
+        for name, size, count_size, signed in layout:
+            if count_size:
+                head = data[start : start + count_size]
+                length = (
+                    head[0] if count_size == 1 and head and not signed else int.from_bytes(head, endian, signed=signed)
+                )
+                start += count_size
+                places[name].append(start)
+                if length < 0 or start + length * size > len(data):
+                    raise _cut(element)
+                lengths[name].append(length)
+                start += length * size
+            else:
+                places[name].append(start)
+                start += size
+        if start > len(data):
             raise _cut(element)
-        row = np.frombuffer(data, dtype=dtype, offset=start, count=1)[0]
-        for name in values:
-            values[name].append(row[name])
-        start += dtype.itemsize
-    return _joined(values, element), start
+    columns: dict[str, Any] = {}
+    for name, kind, count in element.properties:
+        n = np.array(lengths[name], dtype=np.int64) if count is not None else np.ones(element.count, dtype=np.int64)
+        values = _gather(data, np.array(places[name], dtype=np.int64), n, np.dtype(order + kind))
+        columns[name] = (n, values) if count is not None else values
+    return columns, start
+
+
+def _gather(data: bytes, places: Ints, lengths: Ints, dtype: np.dtype) -> np.ndarray:
+    """Return the runs of ``lengths`` numbers that begin at the bytes ``places``, one after the other."""
+    raw = np.frombuffer(data, dtype=np.uint8)
+    flat = np.empty(int(lengths.sum()), dtype=dtype)
+    first = np.cumsum(lengths) - lengths
+    for length in np.unique(lengths[lengths > 0]):
+        rows = np.flatnonzero(lengths == length)
+        for part in np.array_split(rows, 1 + len(rows) * int(length) // 65_536):
+            at = places[part][:, None] + np.arange(length * dtype.itemsize)
+            flat[first[part][:, None] + np.arange(length)] = raw[at].view(dtype)
+    return flat
 
 
 def _joined(values: dict[str, list[Any]], element: _Element) -> dict[str, Any]:
@@ -178,6 +211,11 @@ def _ascii_rows(tokens: list[bytes], start: int, element: _Element) -> tuple[dic
                 else:
                     length = int(tokens[start])
                     row = tokens[start + 1 : start + 1 + length]
+                    if length > MAX_CORNERS:
+                        raise ArtifactError(
+                            f"'{element.name}': a list has {length} corners, at most {MAX_CORNERS} are read",
+                            "export triangles",
+                        )
                     if length < 0 or len(row) != length:
                         raise _cut(element)
                     values[name].append(np.array([float(t) for t in row]))
@@ -202,7 +240,8 @@ def parse(data: bytes) -> tuple[Floats, Ints]:
     order, elements, start = _header(data)
     _check_counts(elements, order, len(data) - start)
     found: dict[str, dict[str, Any]] = {}
-    tokens = [] if order else data[start:].split()
+    most = sum(e.count * (len(e.properties) + MAX_CORNERS * e.n_lists) for e in elements)
+    tokens = [] if order else data[start:].split(maxsplit=min(most, len(data)))
     position = start if order else 0
     for element in elements:
         found[element.name], position = (

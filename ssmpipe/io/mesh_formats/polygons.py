@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import io
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -16,6 +17,19 @@ MAX_CORNERS = 255
 """Largest number of corners of one polygon; bone surfaces have three, hand-made files four."""
 
 EXPORT_AGAIN = "export or copy the file again"
+
+
+def byte_lines(data: bytes) -> Iterator[bytes]:
+    """Return the lines of a file one after the other, whatever ends them; nothing is held but the file.
+
+    Examples
+    --------
+    >>> list(byte_lines(b"a\\r\\nb\\nc"))
+    [b'a\\r\\n', b'b\\n', b'c']
+    >>> list(byte_lines(b"a\\rb"))
+    [b'a\\n', b'b']
+    """
+    return iter(io.BytesIO(data if b"\n" in data else data.replace(b"\r", b"\n")))
 
 
 def triangulate(corners: Ints, flat: Ints) -> Ints:

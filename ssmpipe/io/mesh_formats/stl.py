@@ -11,7 +11,9 @@ from ssmpipe.core.errors import ArtifactError
 from ssmpipe.io.mesh_formats.polygons import EXPORT_AGAIN, to_floats
 
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-_VERTEX = re.compile(rb"^\s*vertex\s+(\S+)\s+(\S+)\s+(\S+)\s*$", re.IGNORECASE | re.MULTILINE)
+_VERTEX = re.compile(
+    rb"^[ \t]*vertex[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)[ \t\r]*$", re.IGNORECASE | re.MULTILINE
+)  # blanks, not \s: over many empty lines that would take quadratic time
 
 
 def parse(data: bytes) -> tuple[Floats, Ints]:
@@ -44,10 +46,12 @@ def parse(data: bytes) -> tuple[Floats, Ints]:
 def _parse_ascii(data: bytes) -> Floats:
     n_facets = len(re.findall(rb"\bfacet\s+normal\b", data, re.IGNORECASE))
     n_ends = len(re.findall(rb"\bendfacet\b", data, re.IGNORECASE))
-    corners = _VERTEX.findall(data)
+    n_vertices = len(re.findall(rb"\bvertex\b", data, re.IGNORECASE))
+    corners = _VERTEX.findall(data) if n_ends == n_facets and n_vertices == 3 * n_facets else []
     if n_ends != n_facets or len(corners) != 3 * n_facets:
         raise ArtifactError(
-            f"incomplete ASCII STL: {n_facets} facets begin, {n_ends} end, {len(corners)} vertices", EXPORT_AGAIN
+            f"incomplete ASCII STL: {n_facets} facets begin, {n_ends} end, {len(corners) or n_vertices} vertices",
+            EXPORT_AGAIN,
         )
     if b"endsolid" not in data[-400:].lower():
         raise ArtifactError(f"incomplete ASCII STL: no 'endsolid' after {n_facets} facets", EXPORT_AGAIN)

@@ -15,7 +15,8 @@ _TYPES = {
     "float": "f4", "double": "f8", "int": "i4", "unsigned_int": "u4", "short": "i2", "unsigned_short": "u2",
     "char": "i1", "unsigned_char": "u1", "long": "i8", "unsigned_long": "u8", "vtktypeint64": "i8", "vtkidtype": "i8",
 }  # fmt: skip
-_TOKEN = re.compile(rb"\S+")
+_MAX_SECTIONS = 1000
+_EMPTY_LINE = re.compile(rb"\n[ \t\r]*\n")
 
 
 @dataclass
@@ -52,15 +53,24 @@ class _Cursor:
             values = np.frombuffer(self.data, dtype=dtype, count=count, offset=self.at)
             self.at += values.nbytes
             return values.astype(np.float64) if dtype.kind == "f" else values.astype(np.int64)
-        tokens: list[bytes] = []
-        for match in _TOKEN.finditer(self.data, self.at):
-            if len(tokens) == count:
-                break
-            tokens.append(match.group())
-            self.at = match.end()
+        tokens = self._tokens(count)
         if len(tokens) < count:
             raise ArtifactError(f"truncated VTK: {what} needs {count} numbers, {len(tokens)} are there", EXPORT_AGAIN)
         return to_floats(tokens, what) if dtype.kind == "f" else to_ints(tokens, what)
+
+    def _tokens(self, count: int) -> list[bytes]:
+        """Return the next ``count`` words, or as many as there are; looks no farther than it must."""
+        if count == 0:
+            return []
+        width = 16 * count + 256
+        while True:
+            window = self.data[self.at : self.at + width]
+            words = window.split(maxsplit=count)
+            if len(words) > count or self.at + width >= len(self.data):
+                rest = len(words[count]) if len(words) > count else 0
+                self.at += len(window) - rest
+                return words[:count]
+            width *= 4
 
 
 def _cells(cursor: _Cursor, words: list[str], version: float) -> tuple[Ints, Ints]:
@@ -80,22 +90,26 @@ def _cells(cursor: _Cursor, words: list[str], version: float) -> tuple[Ints, Int
             raise ArtifactError(f"not a readable VTK: the offsets of {what} do not fit its indices", EXPORT_AGAIN)
         return np.diff(offsets), flat
     mixed = cursor.array("int", size, what).astype(np.int64)
+    if what in ("VERTICES", "LINES"):
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     if n and size == 4 * n and np.all(mixed[::4] == 3):
         return np.full(n, 3, dtype=np.int64), mixed.reshape(n, 4)[:, 1:].reshape(-1)
-    lengths = np.empty(n, dtype=np.int64)
-    keep = np.ones(size, dtype=bool)
-    at = 0
+    starts: list[int] = []
+    at, corners = 0, memoryview(mixed.tobytes()).cast("q")
     for i in range(n):
-        if at >= size or not 0 <= mixed[at] < size - at:
+        if at >= size or not 0 <= corners[at] < size - at:
             raise ArtifactError(
                 f"not a readable VTK: {what} number {i} runs over the {size} numbers stated", EXPORT_AGAIN
             )
-        lengths[i] = mixed[at]
-        keep[at] = False
-        at += 1 + int(mixed[at])
+        if corners[at] < 3:
+            raise ArtifactError(f"a polygon has {corners[at]} corners, it needs 3", "export triangles")
+        starts.append(at)
+        at += 1 + corners[at]
     if at != size:
         raise ArtifactError(f"not a readable VTK: {what} says {size} numbers, {at} are used", EXPORT_AGAIN)
-    return lengths, mixed[keep]
+    keep = np.ones(size, dtype=bool)
+    keep[starts] = False
+    return mixed[~keep], mixed[keep]
 
 
 def parse(data: bytes) -> tuple[Floats, Ints]:
@@ -123,7 +137,11 @@ def parse(data: bytes) -> tuple[Floats, Ints]:
         )
     vertices: Floats | None = None
     triangles: list[Ints] = []
+    n_sections = 0
     while words := cursor.line():
+        n_sections += 1
+        if n_sections > _MAX_SECTIONS:
+            raise ArtifactError(f"not a readable VTK: more than {_MAX_SECTIONS} sections", EXPORT_AGAIN)
         key = words[0].upper()
         if key in ("POINT_DATA", "CELL_DATA"):
             break
@@ -137,9 +155,11 @@ def parse(data: bytes) -> tuple[Floats, Ints]:
                 elif key == "TRIANGLE_STRIPS":
                     triangles.append(strips_to_triangles(lengths, flat))
             elif key == "METADATA":
-                end = re.search(rb"\n[ \t\r]*\n", data[cursor.at - 1 :])
-                cursor.at = cursor.at - 1 + end.end() if end else len(data)
+                end = _EMPTY_LINE.search(data, cursor.at - 1)
+                cursor.at = end.end() if end else len(data)
             elif key == "FIELD":
+                if int(words[2]) > _MAX_SECTIONS:
+                    raise ArtifactError(f"not a readable VTK: a field of {words[2][:20]} arrays", EXPORT_AGAIN)
                 for _ in range(int(words[2])):
                     name, n_components, n_tuples, kind = cursor.line()
                     cursor.array(kind, int(n_components) * int(n_tuples), f"field {name[:20]}")
