@@ -91,7 +91,7 @@ def main() -> int:
         worker(reader, Path(folder), int(seconds), Path(keep))
         return 0
     options.keep.mkdir(parents=True, exist_ok=True)
-    return int(not all([fuzz_one(reader, options.seconds, options.keep) for reader in options.reader or READERS]))
+    return int(not min([fuzz_one(reader, options.seconds, options.keep) for reader in options.reader or READERS]))
 
 
 if __name__ == "__main__":
