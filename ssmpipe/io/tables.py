@@ -52,9 +52,7 @@ def text_lines(text: str) -> Iterator[str]:
     return iter(io.StringIO(text, newline=""))
 
 
-def read_rows(
-    path: Path, key: str, known: Sequence[str] = ()
-) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
+def read_rows(path: Path, key: str, known: Sequence[str] = ()) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
     """Return the header and, one by one, the (line number, cells) of a CSV file whose header has the column ``key``.
 
     The delimiter is the one of ``, ; tab`` that makes ``key`` a column. ``key`` and the ``known`` columns are returned in lower case,
