@@ -10,8 +10,9 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dpotrf as potrf
+from scipy.linalg.lapack import dpotrs as potrs
 
 from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.blocks import map_blocks
@@ -67,10 +68,11 @@ def _metric(first: tuple[Floats, ...], second: tuple[Floats, ...]) -> Floats:
 
 
 def _shifted(blocks: Floats) -> Floats:
-    """Return the blocks with a trace of the unit matrix, so that they can be factored."""
+    """Return the blocks, now with a trace of the unit matrix, so that they can be factored."""
     n = blocks.shape[-1]
-    shift = 1e-8 / n * np.trace(blocks, axis1=-2, axis2=-1)
-    return np.asarray(blocks + shift[..., None, None] * np.eye(n))
+    every = np.arange(n)
+    blocks[..., every, every] += (1e-8 / n * np.trace(blocks, axis1=-2, axis2=-1))[..., None]
+    return blocks
 
 
 def _by_factor(
@@ -83,30 +85,34 @@ def _by_factor(
 ) -> Callable[[Floats], Floats]:
     """Assemble all blocks and factor them."""
     m, n = own.shape[:2]
-    free = np.flatnonzero(space.free.ravel())
     whole = np.empty((m, n, m, n))
 
     def data(first: Ints, second: Ints) -> Floats:
         metric = _metric(tuple(t[first] for t in tangents), tuple(t[second] for t in tangents))
         metric *= (coupling[first, second][:, None] * weights)[..., None, None]
-        return space.normal_blocks(metric)[:, free[:, None], free]
+        return space.normal_blocks(metric)
 
     rows, columns = np.triu_indices(m, 1)
 
     def coupled(part: slice) -> None:
         blocks = data(rows[part], columns[part])
         for i, j, block in zip(rows[part], columns[part], blocks, strict=True):
-            whole[i, :, j], whole[j, :, i] = block, block.T
+            whole[i, :, j] = block  # the other half is not read
 
     def diagonal(part: slice) -> None:
         every = np.arange(m)[part]
-        for i, block in zip(every, _shifted(own[part] + data(every, every)), strict=True):
+        blocks = data(every, every)
+        blocks += own[part]
+        for i, block in zip(every, _shifted(blocks), strict=True):
             whole[i, :, i] = block
 
     map_blocks(coupled, len(rows), _PAIRS_PER_BLOCK, threads)
     map_blocks(diagonal, m, _SHAPES_PER_BLOCK, threads)
-    factor = scipy.linalg.cho_factor(whole.reshape(m * n, m * n), lower=True, overwrite_a=True, check_finite=False)
-    return lambda vector: np.asarray(scipy.linalg.cho_solve(factor, vector, check_finite=False))
+    # the transpose is what LAPACK's order of memory makes of it: no copy; its lower half is our upper one
+    factor, failed = potrf(whole.reshape(m * n, m * n).T, lower=1, clean=0, overwrite_a=1)
+    if failed:
+        raise np.linalg.LinAlgError(f"the Gauss-Newton matrix of {m * n} unknowns is not positive definite")
+    return lambda vector: np.asarray(potrs(factor, vector, lower=1)[0])
 
 
 def _by_iteration(
@@ -134,7 +140,7 @@ def _by_iteration(
     tangents = tuple(t[:, kept] for t in tangents)
 
     metric = _metric(tangents, tangents)
-    mean_data = coarse.normal_blocks(metric.mean(axis=0) * weights[:, None, None])[free[:, None], free]
+    mean_data = coarse.normal_blocks(metric.mean(axis=0) * weights[:, None, None])
     strength, modes = np.linalg.eigh(coupling)
     strength = np.maximum(strength, 1e-12 * strength[-1])
     inverses = np.linalg.inv(_shifted(strength[:, None, None] * mean_data + own.mean(axis=0))).astype(np.float32)

@@ -8,6 +8,7 @@ first two bound ``J`` from below over the whole domain; sampling does not.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import Literal
 
@@ -17,7 +18,7 @@ from scipy.special import comb
 
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.correspondence.direction import Direction, apply_directions
-from ssmpipe.core.correspondence.reparameterization import Reparameterization
+from ssmpipe.core.correspondence.reparameterization import Reparameterization, numbered
 from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.spline.basis import design_matrix
 
@@ -100,6 +101,7 @@ class Jacobian:
         self.shape = tuple(e.shape[0] for e in extract)
         self.n = int(np.prod(self.shape))
         self._identity = reparameterization.identity()
+        self._free = reparameterization.free
         self._extract = tuple(extract)
         self._back = tuple(e.T for e in extract)
         self._mixed = tuple(
@@ -119,25 +121,24 @@ class Jacobian:
 
     # -- values --------------------------------------------------------------------------------------------------------
 
-    def _gradients(self, displacement: Floats, *, with_identity: bool) -> list[Floats]:
-        """Return dD/du_k at the nodes, (n_S, d_par, *nodes) each."""
-        moved = np.moveaxis(displacement, -1, 1)
-        out = []
-        for axis in range(self.n_directions):
-            g = apply_directions(self._mixed[axis], moved)
-            if with_identity:
-                g[:, axis] += 1.0
-            out.append(g)
-        return out
+    def at(self, coefficients: Floats) -> LocalJacobian:
+        """Return the Jacobians of (n_S, *n_b, d_par) coefficients of D, to be differentiated there."""
+        gradients = self._gradients(coefficients - self._identity)
+        for axis, g in enumerate(gradients):
+            g[:, axis] += 1.0
+        return LocalJacobian(self, gradients)
 
-    @staticmethod
-    def _det(g: list[Floats]) -> Floats:
-        return g[0][:, 0] if len(g) == 1 else g[0][:, 0] * g[1][:, 1] - g[0][:, 1] * g[1][:, 0]
+    def _gradients(self, displacement: Floats) -> list[Floats]:
+        """Return dD/du_k at the nodes, (n_S, d_par, *nodes) each, without the identity."""
+        moved = np.moveaxis(displacement, -1, 1)
+        return [apply_directions(self._mixed[axis], moved) for axis in range(self.n_directions)]
 
     def coefficients(self, coefficients: Floats) -> Floats:
         """Return the (n_S, n) coefficients of J from the (n_S, *n_b, d_par) coefficients of D."""
-        det = self._det(self._gradients(coefficients - self._identity, with_identity=True))
-        return apply_directions(self._extract, det).reshape(len(det), -1)
+        return self.at(coefficients).values
+
+    def _extracted(self, at_nodes: Floats) -> Floats:
+        return apply_directions(self._extract, at_nodes).reshape(len(at_nodes), -1)
 
     def patches(self, flat: Floats) -> Floats:
         """Reshape (n_S, n) Bernstein coefficients to (n_S, n_cells, m[, m]), ``m = degree + 1``."""
@@ -151,29 +152,13 @@ class Jacobian:
 
     def pull_back(self, coefficients: Floats, weights: Floats) -> Floats:
         """Return ``sum_z weights_z dJ_z/db``, shape of ``coefficients``; ``weights`` is (n_S, n)."""
-        back = apply_directions(self._back, weights.reshape(-1, *self.shape))
-        if self.n_directions == 1:
-            return (back @ self._mixed[0][0])[..., None]
-        du, dv = self._gradients(coefficients - self._identity, with_identity=True)
-        (su, vv), (vu, sv) = self._mixed
-        gx = su.T @ (back * dv[:, 1]) @ vv - vu.T @ (back * du[:, 1]) @ sv
-        gy = vu.T @ (back * du[:, 0]) @ sv - su.T @ (back * dv[:, 0]) @ vv
-        return np.stack([gx, gy], axis=-1)
-
-    def along(self, coefficients: Floats, direction: Floats, current: Floats) -> tuple[Floats, Floats]:
-        """Return ``J1, J2`` with ``J(b + a d) = J(b) + a J1 + a^2 J2`` exactly; ``current`` is ``J(b)``."""
-        total = self.coefficients(coefficients + direction) - current
-        if self.n_directions == 1:
-            return total, np.zeros_like(total)
-        det = self._det(self._gradients(direction, with_identity=False))
-        second = apply_directions(self._extract, det).reshape(len(det), -1)
-        return total - second, second
+        return self.at(coefficients).pull_back(weights)
 
     def rows(self, coefficients: Floats) -> Floats:
         """Return dJ_z/db of one shape, (n, n_b1 [* n_b2 * 2]), for Gauss-Newton blocks."""
         if self.n_directions == 1:
             return np.asarray(self._extract[0] @ self._mixed[0][0])
-        du, dv = self._gradients((coefficients - self._identity)[None], with_identity=True)
+        du, dv = self.at(coefficients[None]).gradients
         (su, vv), (vu, sv) = self._mixed
 
         def term(left: Floats, right: Floats, factor: Floats) -> Floats:
@@ -186,7 +171,7 @@ class Jacobian:
         return np.stack([x, y], axis=-1).reshape(self.n, -1)
 
     def normal_blocks(self, coefficients: Floats, curvature: Floats) -> Floats:
-        """Return ``sum_z curvature_z dJ_z/db dJ_z/db^T`` for every shape, (n_S, m, m), components fastest.
+        """Return ``sum_z curvature_z dJ_z/db dJ_z/db^T`` for every shape, (n_S, m, m), in the m free coefficients.
 
         Parameters
         ----------
@@ -194,12 +179,12 @@ class Jacobian:
         curvature : (n_S, n)
         """
         if self.n_directions == 1 or self.form != "bezier":
-            all_rows = [self.rows(c) for c in coefficients]
+            all_rows = [self.rows(c)[:, self._free.ravel()] for c in coefficients]
             return np.stack([r.T @ (k[:, None] * r) for r, k in zip(all_rows, curvature, strict=True)])
         # a Bernstein coefficient depends on the (p + 1)^2 control points of its own span only
         (n0, n1), m = self.n_spans, self.degree + 1
         nodes, extraction, assembly = self._local
-        du, dv = self._gradients(coefficients - self._identity, with_identity=True)
+        du, dv = self.at(coefficients).gradients
 
         def cells(field: Floats) -> Floats:
             return field.reshape(-1, n0, m, n1, m).transpose(0, 1, 3, 2, 4)
@@ -209,8 +194,8 @@ class Jacobian:
         rows = extraction @ np.stack([x, y], axis=-1).reshape(len(x), n0 * n1, m * m, -1)
         weight = cells(curvature).reshape(len(x), n0 * n1, m * m, 1)
         local = np.swapaxes(rows, 2, 3) @ (rows * weight)
-        n = self._identity.size
-        return np.ascontiguousarray((assembly @ local.reshape(len(x), -1).T).T).reshape(-1, n, n)
+        n = int(np.count_nonzero(self._free))
+        return np.stack([(assembly @ one.ravel()).reshape(n, n) for one in local])
 
     @cached_property
     def _local(self) -> tuple[tuple[Floats, Floats], Floats, scipy.sparse.csr_array]:
@@ -231,12 +216,83 @@ class Jacobian:
         ]
         extraction = np.kron(self._extract[0][:m, :m], self._extract[1][:m, :m])
         cell = columns[0][:, None, :, None] * self._identity.shape[1] + columns[1][None, :, None, :]
-        place = (cell.reshape(n0 * n1, -1, 1) * 2 + np.arange(2)).reshape(n0 * n1, -1)
-        n = self._identity.size
+        place = numbered(self._free)[(cell.reshape(n0 * n1, -1, 1) * 2 + np.arange(2)).reshape(n0 * n1, -1)]
+        n = int(np.count_nonzero(self._free))
         target = (place[:, :, None] * n + place[:, None, :]).ravel()
-        ones = (np.ones(len(target)), (target, np.arange(len(target))))
+        kept = np.flatnonzero((np.minimum(place[:, :, None], place[:, None, :]) >= 0).ravel())
+        ones = (np.ones(len(kept)), (target[kept], kept))
         assembly = scipy.sparse.csr_array(ones, shape=(n * n, len(target)))
         return (both[0], both[1]), np.asarray(extraction, np.float64), assembly
+
+
+class LocalJacobian:
+    """Jacobians at given coefficients of D, with their derivatives there; from :meth:`Jacobian.at`.
+
+    Examples
+    --------
+    >>> D = Reparameterization((5,), (3,))
+    >>> Jacobian(D).at(D.identity()[None]).values
+    array([[1., 1., 1., 1., 1., 1.]])
+    """
+
+    def __init__(self, jacobian: Jacobian, gradients: list[Floats]) -> None:
+        self._of = jacobian
+        self.gradients = gradients
+
+    @cached_property
+    def values(self) -> Floats:
+        """The (n_S, n) coefficients of J."""
+        g = self.gradients
+        if len(g) == 1:
+            return self._of._extracted(g[0][:, 0])
+        return self._of._extracted(g[0][:, 0] * g[1][:, 1] - g[0][:, 1] * g[1][:, 0])
+
+    def along(self, direction: Floats) -> tuple[Floats, Floats]:
+        """Return ``J1, J2`` with ``J(b + a d) = J(b) + a J1 + a^2 J2`` exactly."""
+        g, h = self.gradients, self._of._gradients(direction)
+        if len(g) == 1:
+            first = self._of._extracted(h[0][:, 0])
+            return first, np.zeros_like(first)
+        return self._first(h), self._of._extracted(h[0][:, 0] * h[1][:, 1] - h[0][:, 1] * h[1][:, 0])
+
+    def _first(self, h: list[Floats]) -> Floats:
+        (du, dv), (eu, ev) = self.gradients, h
+        return self._of._extracted(
+            du[:, 0] * ev[:, 1] + eu[:, 0] * dv[:, 1] - du[:, 1] * ev[:, 0] - eu[:, 1] * dv[:, 0]
+        )
+
+    def pull_back(self, weights: Floats) -> Floats:
+        """Return ``sum_z weights_z dJ_z/db``, (n_S, *n_b, d_par); ``weights`` is (n_S, n)."""
+        back = self._back(weights)
+        if len(self.gradients) == 1:
+            return (back @ self._of._mixed[0][0])[..., None]
+        return self._pulled(*(back[:, None] * g for g in self.gradients))
+
+    def pull_back_along(self, direction: Floats, slope_along: Callable[[Floats], Floats], weights: Floats) -> Floats:
+        """Return the change of :meth:`pull_back` of some weights along a direction.
+
+        Parameters
+        ----------
+        direction : (n_S, *n_b, d_par)
+        slope_along : callable
+            Change of J along the direction, (n_S, n), to the change of the weights.
+        weights : (n_S, n)
+            As they are here.
+        """
+        h = self._of._gradients(direction)
+        if len(h) == 1:
+            return self.pull_back(slope_along(self._of._extracted(h[0][:, 0])))
+        change, back = self._back(slope_along(self._first(h))), self._back(weights)
+        return self._pulled(*(change[:, None] * g + back[:, None] * e for g, e in zip(self.gradients, h, strict=True)))
+
+    def _back(self, weights: Floats) -> Floats:
+        return apply_directions(self._of._back, weights.reshape(-1, *self._of.shape))
+
+    def _pulled(self, along_u: Floats, along_v: Floats) -> Floats:
+        """Return the derivative of ``sum du_0 dv_1 - du_1 dv_0`` with one factor of each product held: weighted (n_S, 2, *nodes)."""
+        (su, vv), (vu, sv) = self._of._mixed
+        total = su.T @ along_v @ vv - vu.T @ along_u @ sv
+        return np.stack([total[:, 1], -total[:, 0]], axis=-1)
 
 
 def largest_feasible_step(current: Floats, first: Floats, second: Floats) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -24,7 +25,7 @@ from ssmpipe.core.correspondence.exact_rule import ExactRule
 from ssmpipe.core.correspondence.gauss_newton import gauss_newton_inverse
 from ssmpipe.core.correspondence.guides import Guides
 from ssmpipe.core.correspondence.interpolation import Interpolation
-from ssmpipe.core.correspondence.jacobian import Jacobian, JacobianForm, largest_feasible_step
+from ssmpipe.core.correspondence.jacobian import Jacobian, JacobianForm, LocalJacobian, largest_feasible_step
 from ssmpipe.core.correspondence.prior import bending_matrix
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
 from ssmpipe.core.correspondence.spectral import SpectralFunction
@@ -151,6 +152,9 @@ class GroupObjective:
         if interpolate and guides is not None:
             self._interpolation = Interpolation(guides, self._free, self.moving)
         self._multipliers: Floats | None = None
+        self._local: tuple[bytes, LocalJacobian] | None = None
+        self._along: tuple[bytes, tuple[Floats, Floats]] | None = None
+        self._curved: Jet | None = None
         self._parameters = np.empty(0)
         self._d_parameters = np.empty(0)
 
@@ -167,9 +171,13 @@ class GroupObjective:
     def coefficients(self, x: Floats) -> Floats:
         """Return the (n_S, *n_b, d_par) coefficients of all shapes."""
         out = np.repeat(self._identity[None], self.stack.n_shapes, axis=0)
-        moving = out[self.moving]
-        moving[:, self._free] = x.reshape(len(self.moving), -1)
-        out[self.moving] = moving
+        out[self.moving] = self._moved(x)
+        return out
+
+    def _moved(self, x: Floats) -> Floats:
+        """Return the coefficients of the moving shapes."""
+        out = np.repeat(self._identity[None], len(self.moving), axis=0)
+        out[:, self._free] = x.reshape(len(self.moving), -1)
         return out
 
     def _direction(self, direction: Floats) -> Floats:
@@ -245,7 +253,24 @@ class GroupObjective:
 
     def smallest_jacobian(self, x: Floats) -> float:
         """Return the smallest coefficient of all Jacobians; in the Bernstein form a lower bound of ``det dD/du``."""
-        return float(self.jacobian.coefficients(self.coefficients(x)[self.moving]).min())
+        return float(self.jacobians(x).min())
+
+    def jacobians(self, x: Floats) -> Floats:
+        """Return the (n, m) coefficients of the Jacobians of the moving shapes."""
+        return self._jacobian_at(x).values
+
+    def _jacobian_at(self, x: Floats) -> LocalJacobian:
+        key = x.tobytes()
+        if self._local is None or self._local[0] != key:
+            self._local = key, self.jacobian.at(self._moved(x))
+        return self._local[1]
+
+    def _jacobian_along(self, x: Floats, direction: Floats) -> tuple[Floats, Floats]:
+        """Return the first and second change of the Jacobians; the last answer is remembered."""
+        key = x.tobytes() + direction.tobytes()
+        if self._along is None or self._along[0] != key:
+            self._along = key, self._jacobian_at(x).along(self._direction(direction))
+        return self._along[1]
 
     def spectral_gradient(self, x: Floats) -> tuple[float, Floats]:
         """Return the spectral function and its gradient in the unknowns, by the adjoint [2.20]."""
@@ -307,11 +332,10 @@ class GroupObjective:
 
     def value_and_gradient(self, x: Floats) -> tuple[float, Floats]:
         """Return ``f`` and its gradient; infinite outside the feasible set."""
-        moving = self.coefficients(x)[self.moving]
-        jacobians = self.jacobian.coefficients(moving)
-        penalty = self.constraint.value(jacobians) if self.barrier > 0 else 0.0
+        penalty = self.constraint.value(self.jacobians(x)) if self.barrier > 0 else 0.0
         if not np.isfinite(penalty):
             return np.inf, np.zeros_like(x)
+        moving = self._moved(x)
         if self.other_gradient is None:
             value, gradient = self.spectral_gradient(x)
         else:
@@ -319,7 +343,8 @@ class GroupObjective:
         extra = np.zeros_like(moving)
         if self.barrier > 0:
             value += self.barrier * penalty
-            extra += self.barrier * self.jacobian.pull_back(moving, self.constraint.slope(jacobians))
+            local = self._jacobian_at(x)
+            extra += self.barrier * local.pull_back(self.constraint.slope(local.values))
         if self.prior > 0:
             displacement = moving - self._identity
             bent = self._bent(displacement)
@@ -331,6 +356,25 @@ class GroupObjective:
             extra += d_pull[self.moving]
         return value, self._keep_gauge(gradient + extra[:, self._free].ravel())
 
+    def value(self, x: Floats) -> float:
+        """Return ``f`` alone; a gradient at the same ``x`` then costs only what the value did not."""
+        value = self.barrier * self.constraint.value(self.jacobians(x)) if self.barrier > 0 else 0.0
+        if not np.isfinite(value):
+            return np.inf
+        value = self.spectral_value(x) + value
+        if self.prior > 0:
+            displacement = self._moved(x) - self._identity
+            value += 0.5 * self.prior * float((self._bent(displacement) * displacement).sum())
+        if self.guides is not None:
+            value += self.guides.value_and_gradient(self.coefficients(x))[0]
+        return value
+
+    @cached_property
+    def _bending_of_free(self) -> Floats:
+        free = np.flatnonzero(self._free.ravel())
+        n_d = self.reparameterization.n_directions
+        return np.asarray(np.kron(self._bending, np.eye(n_d))[free[:, None], free], dtype=np.float64)
+
     def _bent(self, displacement: Floats) -> Floats:
         flat = displacement.reshape(len(displacement), -1, displacement.shape[-1])
         return (self._bending @ flat).reshape(displacement.shape)
@@ -339,10 +383,8 @@ class GroupObjective:
 
     def largest_step(self, x: Floats, direction: Floats) -> float:
         """Return how far ``direction`` can be followed before a coefficient of a Jacobian meets the floor; exact."""
-        moving = self.coefficients(x)[self.moving]
-        current = self.jacobian.coefficients(moving)
-        first, second = self.jacobian.along(moving, self._direction(direction), current)
-        return largest_feasible_step(current - self.constraint.floor, first, second)
+        first, second = self._jacobian_along(x, direction)
+        return largest_feasible_step(self.jacobians(x) - self.constraint.floor, first, second)
 
     def step_taken(self, x: Floats, direction: Floats) -> None:
         """Let the multipliers of the constraints follow an accepted step along ``direction`` (primal-dual).
@@ -351,9 +393,7 @@ class GroupObjective:
         nearly active, the barrier's own is right in a tiny neighbourhood only, and steps would stop short at the walls.
         """
         if self.barrier > 0:
-            moving = self.coefficients(x)[self.moving]
-            current = self.jacobian.coefficients(moving)
-            first, _ = self.jacobian.along(moving, self._direction(direction), current)
+            current, first = self.jacobians(x), self._jacobian_along(x, direction)[0]
             self._multipliers = self.constraint.followed(current, first, self._multipliers_at(current), self.barrier)
 
     def memory(self) -> Floats | None:
@@ -372,24 +412,25 @@ class GroupObjective:
         """Return the inverse of the Gauss-Newton matrix, shapes coupled: see :func:`gauss_newton_inverse`."""
         evaluation = self.evaluate(x)
         moving, threads = self.moving, self.stack.threads
-        coefficients = self.coefficients(x)[moving]
-        n_d = self.reparameterization.n_directions
-        free = np.flatnonzero(self._free.ravel())
+        coefficients = self._moved(x)
         coupling = evaluation.spectrum.slope(self.spectral)[np.ix_(moving, moving)] * (2.0 / (self.stack.n_shapes - 1))
-        bending = self.prior * np.kron(self._bending, np.eye(n_d))
-        jacobians = self.jacobian.coefficients(coefficients)
+        jacobians = self.jacobians(x)
         stiffness = self.constraint.curvature(jacobians, self._multipliers_at(jacobians)) if self.barrier > 0 else None
 
         def own(part: slice) -> Floats:
             chunk = coefficients[part]
-            block = np.repeat(bending[None], len(chunk), axis=0)
             if stiffness is not None:
-                block += self.jacobian.normal_blocks(chunk, stiffness[part])
+                block = self.jacobian.normal_blocks(chunk, stiffness[part])
+            else:
+                block = np.zeros((len(chunk), *self._bending_of_free.shape))
+            if self.prior > 0:
+                block += self.prior * self._bending_of_free
             if self.guides is not None:
-                block += np.stack([self.guides.hessian(int(i)) for i in moving[part]])
-            return block[:, free[:, None], free]
+                block += np.stack([self.guides.hessian(int(i))[free[:, None], free] for i in moving[part]])
+            return block
 
         tangents = tuple(t[moving] for t in self._posed(evaluation, evaluation.jet.first))
+        free = np.flatnonzero(self._free.ravel())
         blocks = np.concatenate(map_blocks(own, len(moving), SHAPES_PER_BLOCK, threads))
         solve = gauss_newton_inverse(evaluation.space, coupling, evaluation.weights, tangents, blocks, threads)
         return lambda vector: self._keep_gauge(solve(vector))
@@ -415,7 +456,7 @@ class GroupObjective:
         n_d = space.n_directions
         jet = evaluation.jet
         if not jet.second:
-            jet = self.stack.evaluate(evaluation.parameters, second=True)
+            jet = self._curved = self.stack.evaluate(evaluation.parameters, second=True, reuse=self._curved)
         # components before landmarks and roots of the weights inside: every pass below runs over contiguous memory
         root = np.sqrt(evaluation.weights * (2.0 / (n_shapes - 1)))
 
@@ -430,11 +471,12 @@ class GroupObjective:
         differences = self.spectral.slope_differences(spec.eigenvalues)
         pulled = (d_gram[moving] @ centred).reshape(len(moving), d, n_p)
         bends = [(np.moveaxis(s[moving], 2, 1) * root * pulled).sum(axis=1) for s in second]
-        current = coefficients[moving]
-        jacobians = self.jacobian.coefficients(current)
+        local, jacobians = self._jacobian_at(x), self.jacobians(x)
         multipliers = self._multipliers_at(jacobians)
         wall = self.constraint.slope(jacobians, multipliers) if self.barrier > 0 else jacobians
-        wall_gradient = self.jacobian.pull_back(current, wall) if self.barrier > 0 else current
+
+        def tightened(change: Floats) -> Floats:
+            return self.constraint.slope_along(jacobians, change, multipliers)
 
         def product(vector: Floats) -> Floats:
             direction = self._direction(vector)
@@ -453,12 +495,7 @@ class GroupObjective:
                     out[:, c] += bends[c + e] * shift[:, e]
             result = space.displacements_transposed(out)
             if self.barrier > 0:
-                change_of_j, _ = self.jacobian.along(current, direction, jacobians)
-                tightened = self.jacobian.pull_back(
-                    current, self.constraint.slope_along(jacobians, change_of_j, multipliers)
-                )
-                turned = self.jacobian.pull_back(current + direction, wall) - wall_gradient
-                result = result + tightened + turned
+                result = result + local.pull_back_along(direction, tightened, wall)
             if self.prior > 0:
                 result = result + self.prior * self._bent(direction)
             if self.guides is not None:

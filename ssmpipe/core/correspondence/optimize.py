@@ -559,7 +559,7 @@ class _Recorder:
         self._note(objective, x)
 
     def _note(self, objective: GroupObjective, x: Floats) -> None:
-        jacobians = objective.jacobian.coefficients(objective.coefficients(x)[objective.moving])
+        jacobians = objective.jacobians(x)
         row = {
             "iteration": float(len(self._rows)),
             "description_length": objective.spectral_value(x),

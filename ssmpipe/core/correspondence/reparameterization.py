@@ -156,7 +156,7 @@ class Reparameterization:
         return np.moveaxis(apply_directions(tuple(b.T for b in self._basis), field), 1, -1)
 
     def normal_blocks(self, metric: Floats) -> Floats:
-        """Return ``Basis^T M Basis`` of many shapes, or pairs of shapes: the Gauss-Newton blocks in all coefficients.
+        """Return ``Basis^T M Basis`` of many shapes, or pairs of shapes: the Gauss-Newton blocks in the free coefficients.
 
         Parameters
         ----------
@@ -166,33 +166,42 @@ class Reparameterization:
         Returns
         -------
         (..., n, n) float64
-            ``n = prod(n_coefficients) * d_par``, components fastest.
+            n free coefficients, in the order of ``free.ravel()``.
         """
         n_d = self.n_directions
         lead = metric.shape[:-3]
         if n_d == 1:
-            return np.asarray(self._basis[0].T @ (metric.reshape(*lead, -1, 1) * self._basis[0]))
-        (n0, n1), (a0, a1) = self.grid, self.n_coefficients
-        (left, row0, column0), (right, row1, column1) = self._overlaps
-        size = a0 * a1 * 2
-        rows = (row0[:, None] * a1 + row1) * 2
-        columns = (column0[:, None] * a1 + column1) * 2
-        field = metric.reshape(-1, n0, n1, 2, 2)
+            basis = self._basis[0][:, self.free.ravel()]
+            return np.asarray(basis.T @ (metric.reshape(*lead, -1, 1) * basis))
+        left, right, places = self._overlaps
+        size = int(np.count_nonzero(self.free))
+        field = metric.reshape(-1, *self.grid, 2, 2)
         out = np.zeros((len(field), size * size))
-        for c in range(2):
-            for e in range(2):
-                block = left.T @ (np.ascontiguousarray(field[..., c, e]) @ right)
-                out[:, ((rows + c) * size + columns + e).ravel()] = block.reshape(len(field), -1)
+        for (c, e), (target, kept) in places.items():
+            block = left.T @ (np.ascontiguousarray(field[..., c, e]) @ right)
+            out[:, target] = block.reshape(len(field), -1)[:, kept]
         return out.reshape(*lead, size, size)
 
     @cached_property
-    def _overlaps(self) -> list[tuple[Floats, Ints, Ints]]:
-        """Return, per direction, the products of the basis functions that overlap, (n, n_pairs), and which two they are."""
+    def _overlaps(self) -> tuple[Floats, Floats, dict[tuple[int, int], tuple[Ints, Ints]]]:
+        """Return, per direction, the products of the basis functions that overlap, (n, n_pairs).
+
+        Then, for every two components, where in a block of the free coefficients their products go, and which ones do.
+        """
         found = []
         for b in self._basis:
             first, second = np.nonzero((np.abs(b).T @ np.abs(b)) > 0)
-            found.append((b[:, first] * b[:, second], first.astype(np.int64), second.astype(np.int64)))
-        return found
+            found.append((b[:, first] * b[:, second], first, second))
+        (left, row0, column0), (right, row1, column1) = found
+        a1, number = self.n_coefficients[1], numbered(self.free)
+        rows, columns = (row0[:, None] * a1 + row1).ravel() * 2, (column0[:, None] * a1 + column1).ravel() * 2
+        size = int(np.count_nonzero(self.free))
+        places = {}
+        for c, e in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            row, column = number[rows + c], number[columns + e]
+            kept = np.flatnonzero((row >= 0) & (column >= 0)).astype(np.int64)
+            places[c, e] = row[kept] * size + column[kept], kept
+        return left, right, places
 
     def rows_at(self, parameters: Floats) -> Floats:
         """Return the (n, prod(n_coefficients)) basis of one component of ``D`` at scattered (n, d_par) ``parameters``."""
@@ -200,6 +209,17 @@ class Reparameterization:
         if self.n_directions == 2:
             rows = np.einsum("na,nb->nab", rows, self.directions[1].matrix(parameters[:, 1])).reshape(len(rows), -1)
         return rows
+
+
+def numbered(free: Bools) -> Ints:
+    """Return the number of every coefficient among the free ones, -1 for the others, flat.
+
+    Examples
+    --------
+    >>> numbered(np.array([False, True, True]))
+    array([-1,  0,  1])
+    """
+    return np.where(free.ravel(), np.cumsum(free) - 1, -1).astype(np.int64)
 
 
 def free_coefficients(n_coefficients: tuple[int, ...], boundary: Boundary) -> Bools:

@@ -21,6 +21,9 @@ from ssmpipe.core.result import Result, Status
 class InteriorProblem(Protocol):
     """A smooth function on an open set."""
 
+    def value(self, x: Floats) -> float:
+        """Return the function value at a feasible ``x``; steps that are not accepted need no more."""
+
     def value_and_gradient(self, x: Floats) -> tuple[float, Floats]:
         """Return the function value and the gradient at a feasible ``x``."""
 
@@ -163,7 +166,7 @@ def minimize_interior(
         accepted = False
         for _ in range(30):
             trial = x + step * direction
-            trial_value, trial_gradient = problem.value_and_gradient(trial)
+            trial_value = problem.value(trial)
             n_evaluations += 1
             if trial_value <= value + 1e-4 * step * slope:
                 accepted = True
@@ -177,6 +180,7 @@ def minimize_interior(
                 continue
             status = "stalled"
             break
+        trial_gradient = problem.value_and_gradient(trial)[1]
         s = trial - x
         y = trial_gradient - gradient
         sy = float(s @ y)

@@ -15,6 +15,9 @@ class Quadratic:
         self.mu = mu
         self.evaluated = []
 
+    def value(self, x):
+        return self.value_and_gradient(x)[0]
+
     def value_and_gradient(self, x):
         self.evaluated.append(x.min())
         r = self.a @ (x - self.c)
