@@ -45,6 +45,7 @@ from pydantic import BaseModel, ConfigDict
 
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.checkpoints import Checkpoints
+from ssmpipe.core.engine import Engine
 from ssmpipe.core.errors import LandmarkError
 
 Scope = Literal["shape", "cohort"]
@@ -164,6 +165,8 @@ class Context:
         ``progress(done, total, text)``; shown as a bar on a terminal.
     checkpoints : Checkpoints, optional
         For long group stages: where their state goes, and the state to continue from.
+    engine : Engine, optional
+        For large group stages: processes that share the work; the result may not depend on them.
     """
 
     shape_id: str
@@ -173,6 +176,7 @@ class Context:
     warnings: list[str] = field(default_factory=list)
     progress: Callable[[int, int, str], None] = field(default=lambda done, total, text: None)
     checkpoints: Checkpoints | None = None
+    engine: Engine | None = None
 
     def metric(self, name: str, value: Any) -> None:
         """Record a number (or short text, or list) for the manifest and the report."""

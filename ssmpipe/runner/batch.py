@@ -192,7 +192,7 @@ class _Teller:
 
 def start_child(memory_mb: int | None, noise: str, parent: int) -> None:
     """Prepare a fresh child: limits, one thread, no library chatter on the user's terminal, and no life without parent."""
-    _die_with(parent)
+    die_with(parent)
     if memory_mb is not None:
         try:
             import resource
@@ -210,7 +210,7 @@ def start_child(memory_mb: int | None, noise: str, parent: int) -> None:
     threadpool_limits(1)
 
 
-def _die_with(parent: int) -> None:
+def die_with(parent: int) -> None:
     """End this process when its parent is gone: an orphan must not write beside the next run."""
     if platform.system() == "Linux":
         import ctypes

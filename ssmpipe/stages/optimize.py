@@ -147,6 +147,22 @@ class Config(StageConfig):
         Field(gt=0, description="A round ends when the objective falls by less than this share twice in a row [-]."),
     ] = _DEFAULT.relative_decrease
 
+    landmark_blocks: Annotated[
+        int | Literal["auto"],
+        Field(
+            description="Blocks of landmark rows whose sums are taken apart: the most processes that can share an iteration "
+            "(--executor dask), at least 1. The last digits depend on it. auto: 4 from 64 shapes on, else 1. Covariance II, pose "
+            "each-evaluation and closed-form have one."
+        ),
+    ] = "auto"
+
+    @field_validator("landmark_blocks")
+    @classmethod
+    def _some_blocks(cls, count: int | str) -> int | str:
+        if isinstance(count, int) and count < 1:
+            raise ValueError("must be at least 1, or auto")
+        return count
+
     @field_validator("n_coefficients")
     @classmethod
     def _enough_coefficients(cls, counts: tuple[int, ...], info: ValidationInfo) -> tuple[int, ...]:
@@ -197,7 +213,8 @@ def run(
     """Optimize, prove, and carry the result back to the scans."""
     ids = tuple(sorted(surface))
     splines = [surface[i] for i in ids]
-    chosen = cfg.model_dump(exclude={"lambda_cut", "reference", "boundary", "guides"})
+    chosen = cfg.model_dump(exclude={"lambda_cut", "reference", "boundary", "guides", "landmark_blocks"})
+    chosen["landmark_blocks"] = None if cfg.landmark_blocks == "auto" else cfg.landmark_blocks
     chosen["lambda_cut"] = None if cfg.lambda_cut == "auto" else cfg.lambda_cut
     topology = _topology(ids, splines)
     chosen["boundary"] = _boundary(cfg.boundary, topology)
@@ -214,7 +231,12 @@ def run(
     if elapsed:
         start -= elapsed[-1]  # the time of the run that is continued counts
     result = optimize_correspondence(
-        splines, options, guides=_guides(cfg.guides, ids, landmarks), record=record, checkpoints=checkpoints
+        splines,
+        options,
+        guides=_guides(cfg.guides, ids, landmarks),
+        record=record,
+        checkpoints=checkpoints,
+        engine=ctx.engine,
     )
     optimum = result.value
     if result.status == "out-of-iterations":
@@ -449,7 +471,7 @@ def _poles(spline: Spline) -> list[dict[str, Any]]:
 STAGE = Stage(
     name="optimize",
     scope="cohort",
-    version=8,
+    version=9,
     config=Config,
     run=run,
     inputs=(Port("surface", "surface"), Port("transform", "transform"), Port("landmarks", "landmarks", optional=True)),

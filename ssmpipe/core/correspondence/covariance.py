@@ -21,6 +21,21 @@ _MANY = 4
 
 
 @dataclass(frozen=True, eq=False)
+class SlopeProduct:
+    """A symmetric matrix ready to be multiplied: ``matrix``, or ``last I + matrix diag(excess) matrix^T``."""
+
+    matrix: Floats
+    excess: Floats | None = None
+    last: float = 0.0
+
+    def __call__(self, columns: Floats) -> Floats:
+        """Return the product with (n_S, n) columns."""
+        if self.excess is None:
+            return np.asarray(self.matrix @ columns)
+        return np.asarray(self.last * columns + self.matrix @ (self.excess * (self.matrix.T @ columns)))
+
+
+@dataclass(frozen=True, eq=False)
 class Spectrum:
     """The (n_S, n_S) Gram matrix and, computed when first asked for, its eigendecomposition without the null direction."""
 
@@ -55,7 +70,7 @@ class Spectrum:
             return np.asarray(0.5 * (inverse + inverse.T) - 1.0 / (n * function.shift))
         return np.asarray((self.vectors * function.slope(self.eigenvalues)) @ self.vectors.T)
 
-    def slope_product(self, function: SpectralFunction) -> Callable[[Floats], Floats]:
+    def slope_product(self, function: SpectralFunction) -> SlopeProduct:
         """Return the product of :meth:`slope` with (n_S, n) columns that sum to zero.
 
         Modes with the same ``phi'`` as the last one, all below the threshold of the description length, need no eigenvectors;
@@ -66,9 +81,8 @@ class Spectrum:
             other = slopes != slopes[-1]
             if _MANY * np.count_nonzero(other) <= len(slopes):
                 vectors, excess = self.vectors[:, other], (slopes[other] - slopes[-1])[:, None]
-                return lambda columns: slopes[-1] * columns + vectors @ (excess * (vectors.T @ columns))
-        whole = self.slope(function)
-        return lambda columns: np.asarray(whole @ columns)
+                return SlopeProduct(vectors, excess, float(slopes[-1]))
+        return SlopeProduct(self.slope(function))
 
     def _by_cholesky(self, function: SpectralFunction) -> bool:
         return function.shift > 0 and len(self.gram) >= CHOLESKY_FROM

@@ -28,6 +28,7 @@ from ssmpipe.core.correspondence.interpolation import Interpolation
 from ssmpipe.core.correspondence.jacobian import Jacobian, JacobianForm, LocalJacobian, largest_feasible_step
 from ssmpipe.core.correspondence.prior import bending_matrix
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
+from ssmpipe.core.correspondence.rows import RowSums
 from ssmpipe.core.correspondence.spectral import SpectralFunction
 from ssmpipe.core.covariance.formulation_two import size_weights, size_weights_adjoint
 from ssmpipe.core.errors import GeometryError
@@ -88,6 +89,8 @@ class GroupObjective:
     interpolate : bool, default=False
         Hold the guides where they are: every direction leaves them met. Their weight then matters to the preconditioner only,
         which is the nearer to the eliminated one the larger it is.
+    sums : RowSums, optional
+        Evaluates Gram matrix and gradient in blocks of landmark rows, here or in other processes.
 
     Raises
     ------
@@ -118,6 +121,7 @@ class GroupObjective:
         target: Floats | None = None,
         rule: ExactRule | None = None,
         interpolate: bool = False,
+        sums: RowSums | None = None,
     ) -> None:
         self.stack = stack
         self.reparameterization = reparameterization
@@ -131,6 +135,9 @@ class GroupObjective:
         self.other_gradient = other_gradient
         self.target = target
         self.rule = rule
+        self.sums = sums
+        if sums is not None and (covariance == "II" or target is not None or rule is not None):
+            raise GeometryError("sums by rows need landmarks whose weights and poses are given", "landmark_blocks: 1")
         if rule is not None and (covariance != "I" or target is not None or form == "sampled"):
             raise GeometryError(
                 "the closed form is that of covariance I, with poses kept inside an evaluation and a form of the Jacobian that bounds it",
@@ -148,6 +155,7 @@ class GroupObjective:
         self._free = reparameterization.free
         self._identity = reparameterization.identity()
         self._last: tuple[bytes, Evaluation] | None = None
+        self._last_spectrum: tuple[bytes, Spectrum] | None = None
         self._interpolation: Interpolation | None = None
         if interpolate and guides is not None:
             self._interpolation = Interpolation(guides, self._free, self.moving)
@@ -243,13 +251,23 @@ class GroupObjective:
             evaluator=self.stack.evaluator,
             out=old.centred if old is not None and fits else None,
         )
+        if self.sums is not None:
+            spec = self._spectrum(x)  # one spectrum for all: the two differ in the last digits
         evaluation = Evaluation(space, parameters, jet, points, centred, rotations, slopes, weights, tangents, spec)
         self._last = (key, evaluation)
         return evaluation
 
     def spectral_value(self, x: Floats) -> float:
         """Return the spectral function alone."""
-        return self.evaluate(x).spectrum.value(self.spectral)
+        return self._spectrum(x).value(self.spectral)
+
+    def _spectrum(self, x: Floats) -> Spectrum:
+        if self.sums is None:
+            return self.evaluate(x).spectrum
+        key = x.tobytes()
+        if self._last_spectrum is None or self._last_spectrum[0] != key:
+            self._last_spectrum = key, Spectrum(self.sums.gram(self.coefficients(x)))
+        return self._last_spectrum[1]
 
     def smallest_jacobian(self, x: Floats) -> float:
         """Return the smallest coefficient of all Jacobians; in the Bernstein form a lower bound of ``det dD/du``."""
@@ -274,6 +292,10 @@ class GroupObjective:
 
     def spectral_gradient(self, x: Floats) -> tuple[float, Floats]:
         """Return the spectral function and its gradient in the unknowns, by the adjoint [2.20]."""
+        if self.sums is not None:
+            spectrum = self._spectrum(x)
+            pulled = self.sums.pull_back(self.coefficients(x), spectrum.slope_product(self.spectral))
+            return spectrum.value(self.spectral), pulled[self.moving][:, self._free].ravel()
         evaluation = self.evaluate(x)
         jet = evaluation.jet
         centred = evaluation.centred

@@ -26,8 +26,10 @@ from ssmpipe.core.correspondence.journal import Journal
 from ssmpipe.core.correspondence.measure import Quadrature, grid_size_weights, landmark_rule
 from ssmpipe.core.correspondence.objective import Covariance, GroupObjective
 from ssmpipe.core.correspondence.reparameterization import Boundary, Reparameterization
+from ssmpipe.core.correspondence.rows import RowSums, automatic_blocks
 from ssmpipe.core.correspondence.sensitivity import direct_gradient, finite_difference_gradient
 from ssmpipe.core.correspondence.spectral import Objective, spectral_function
+from ssmpipe.core.engine import Engine
 from ssmpipe.core.errors import FoldoverError, GeometryError, LandmarkError
 from ssmpipe.core.optim.interior import DescentOptions
 from ssmpipe.core.result import Result, Status
@@ -108,6 +110,8 @@ class EngineOptions:
         Per round.
     relative_decrease : float
         A round ends when the objective falls by less than this share twice in a row.
+    landmark_blocks : int or None
+        Blocks of landmark rows whose sums are taken apart; None for the rule of :func:`automatic_blocks`.
     """
 
     n_coefficients: tuple[int, ...] = (8, 8)
@@ -136,6 +140,7 @@ class EngineOptions:
     solver: Solver = "auto"
     max_iterations: int = 300
     relative_decrease: float = 1e-5
+    landmark_blocks: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,6 +212,7 @@ def optimize_correspondence(
     guides: Sequence[Mapping[str, Floats]] | None = None,
     record: Callable[[dict[str, float]], None] | None = None,
     checkpoints: Checkpoints | None = None,
+    engine: Engine | None = None,
 ) -> Result[Optimum]:
     """Find the reparameterizations of a cohort that minimize its description length (Li 2015, ch. 2).
 
@@ -223,6 +229,8 @@ def optimize_correspondence(
     checkpoints : Checkpoints, optional
         Where the state goes every few iterations, and the state to continue from: result and history are the same to the bit as
         without a break. Iterations before that state are not recorded again.
+    engine : Engine, optional
+        Processes that share the blocks of landmark rows; the result has the same bits as without.
 
     Returns
     -------
@@ -239,7 +247,7 @@ def optimize_correspondence(
     opts = options or EngineOptions()
     if len(splines) < 2:
         raise GeometryError(f"correspondence needs at least two shapes, got {len(splines)}")
-    cohort = _Cohort(splines, opts, guides)
+    cohort = _Cohort(splines, opts, guides, engine)
     recorder = _Recorder(record, Journal(checkpoints))
     reparameterization = cohort.space(opts.n_coefficients)
     levels = _levels(reparameterization) if opts.coarse_to_fine else []
@@ -271,9 +279,14 @@ class _Cohort:
     """The splines with their current pose, and what stays fixed over all rounds."""
 
     def __init__(
-        self, splines: Sequence[Spline], opts: EngineOptions, guides: Sequence[Mapping[str, Floats]] | None
+        self,
+        splines: Sequence[Spline],
+        opts: EngineOptions,
+        guides: Sequence[Mapping[str, Floats]] | None,
+        engine: Engine | None = None,
     ) -> None:
         self.splines = splines
+        self.engine = engine
         self.opts = opts
         n_directions = len(splines[0].degrees)
         if not len(opts.n_coefficients) == len(opts.landmarks) == n_directions:
@@ -338,11 +351,16 @@ class _Cohort:
         target = None
         if self.opts.pose == "each-evaluation" and coefficients is not None:
             target = self._normalized(self.raw.evaluate(space.evaluate(coefficients)).points).mean(axis=0)
+        splines = [self._normalized_spline(i) for i in range(len(self.splines))]
+        stack = SplineStack(splines, space.periodic)
+        weights = landmark_rule(space, self.opts.landmarks, self._quadrature())[1]
+        n_blocks = self.opts.landmark_blocks or automatic_blocks(len(splines))
+        whole = self.opts.covariance == "II" or target is not None or self.opts.quadrature == "closed-form"
         return GroupObjective(
-            SplineStack([self._normalized_spline(i) for i in range(len(self.splines))], space.periodic),
+            stack,
             space,
             self.spectral,
-            base_weights=landmark_rule(space, self.opts.landmarks, self._quadrature())[1],
+            base_weights=weights,
             covariance=self.opts.covariance,
             prior=self.opts.prior,
             constraint=self.constraint,
@@ -353,6 +371,7 @@ class _Cohort:
             target=target,
             rule=self._rule(space),
             interpolate=self.interpolating,
+            sums=None if whole or n_blocks == 1 else RowSums(splines, stack, space, weights, n_blocks, self.engine),
         )
 
     def descend(

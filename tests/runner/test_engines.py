@@ -1,0 +1,85 @@
+"""A group optimization has the same bits on every engine, also when one of its processes is killed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ssmpipe.core.correspondence.objective import GroupObjective
+from ssmpipe.core.correspondence.reparameterization import Reparameterization
+from ssmpipe.core.correspondence.rows import RowSums, automatic_blocks
+from ssmpipe.core.correspondence.spectral import spectral_function
+from ssmpipe.core.spline.evaluate import SplineStack
+from ssmpipe.runner.engines import EngineError, ProcessEngine
+from tests.support.engines import OPTIONS, Killing, optimized
+from tests.support.surfaces import bumps
+
+
+def test_serial_and_processes_give_the_same_bits_also_when_one_is_killed(tmp_path: Path) -> None:
+    serial = optimized(None)
+    with ProcessEngine(2, tmp_path / "shared") as engine:
+        killing = Killing(engine, lambda: engine.pids, after=7)
+        assert optimized(killing) == serial
+        assert killing.n_killed == 1
+        assert engine.bytes_moved > 0
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_any_number_of_processes(tmp_path: Path) -> None:
+    serial = optimized(None)
+    for n in (3, 5):
+        with ProcessEngine(n, tmp_path / "shared") as engine:
+            assert optimized(engine) == serial
+
+
+def test_blocks_change_the_last_digits_only() -> None:
+    splines = bumps(5)
+    space = Reparameterization((5, 6), (21, 17))
+    stack = SplineStack(splines)
+    weights = np.full(21 * 17, 1 / (21 * 17))
+    function = spectral_function("description-length", 1e-3)
+    start = GroupObjective(stack, space, function, reference=0).start()
+    x = start + 0.01 * np.random.default_rng(1).normal(size=start.size)
+    found = []
+    for n_blocks in (0, 1, 4, 21, 50):
+        sums = RowSums(splines, stack, space, weights, n_blocks) if n_blocks else None
+        objective = GroupObjective(stack, space, function, base_weights=weights, reference=0, sums=sums)
+        found.append((*objective.spectral_gradient(x), objective.spectral_value(x)))
+        assert found[-1][0] == found[-1][2]
+    for value, gradient, _ in found[1:]:
+        assert value == pytest.approx(found[0][0], rel=1e-12)
+        np.testing.assert_allclose(gradient, found[0][1], rtol=1e-9, atol=1e-10 * np.abs(gradient).max())
+
+
+def test_a_small_cohort_is_not_parted_and_options_that_cannot_be_are_evaluated_here() -> None:
+    assert automatic_blocks(63) == 1
+    assert automatic_blocks(64) == 4
+    one, unparted = (optimized(None, replace(OPTIONS, landmark_blocks=n)) for n in (1, None))
+    assert one == unparted
+    second = replace(OPTIONS, covariance="II", max_iterations=2)
+    assert optimized(None, second) == optimized(None, replace(second, landmark_blocks=1))
+
+
+def _die() -> None:
+    import os
+
+    os._exit(3)
+
+
+def _refuse() -> None:
+    raise ValueError("no")
+
+
+def test_a_function_that_always_kills_its_process_is_an_error_and_one_that_raises_raises(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ssmpipe.runner.engines._RETRIES", 1)
+    with ProcessEngine(1, tmp_path / "shared") as engine:
+        with pytest.raises(EngineError, match="died 2 times"):
+            engine.call(_die, [()])
+        with pytest.raises(ValueError, match="no"):
+            engine.call(_refuse, [()])
