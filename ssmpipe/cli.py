@@ -226,6 +226,17 @@ class _Part(click.ParamType):
     metavar="i/N",
     help="Every N-th shape from the i-th on; per-shape stages only.  [default: all]",
 )
+@click.option(
+    "--executor",
+    type=click.Choice(["local", "dask"]),
+    help="Processes of this machine, or a dask cluster (needs ssmpipe[dask]).  [default: as the config says, else local]",
+)
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="With dask: local (--jobs workers on this machine), tcp://127.0.0.1:PORT, tls://HOST:PORT, or slurm.  [default: as the "
+    "config says, else local]",
+)
 @_set_option
 @click.option("-q", "--quiet", is_flag=True, help="Print errors only.  [default: off]")
 @click.option("-v", "--verbose", count=True, help="Print every task (-v), and why it runs (-vv).  [default: 0]")
@@ -239,6 +250,8 @@ def run(
     force: tuple[str, ...],
     jobs: int | None,
     part: tuple[int, int] | None,
+    executor: str | None,
+    scheduler: str | None,
     overrides: tuple[str, ...],
     quiet: bool,
     verbose: int,
@@ -254,7 +267,7 @@ def run(
         from ssmpipe.runner import run as runner
         from ssmpipe.runner.console import Console
 
-        options = runner.RunOptions(first, last, only, shapes, frozenset(force), jobs, part)
+        options = runner.RunOptions(first, last, only, shapes, frozenset(force), jobs, part, executor, scheduler)
         console = Console(-1 if quiet else verbose)
         if dry_run:
             from ssmpipe.runner.status import print_forecast

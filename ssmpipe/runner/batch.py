@@ -24,6 +24,7 @@ from typing import Any
 
 from filelock import FileLock
 
+from ssmpipe.core.engine import Engine
 from ssmpipe.core.errors import SsmpipeError
 from ssmpipe.runner.disk import DiskError, write_atomically
 from ssmpipe.runner.execute import TaskRecord, failure_of, run_task
@@ -44,6 +45,15 @@ _ONE_THREAD = (
 
 
 @dataclass(frozen=True)
+class ClusterAddress:
+    """Where a child finds the workers of a dask cluster; ``direct``: it may speak to them without the scheduler."""
+
+    address: str
+    security: Any = None
+    direct: bool = False
+
+
+@dataclass(frozen=True)
 class Job:
     """Work for one child process: a shape through consecutive stages, or one task for the cohort."""
 
@@ -57,6 +67,8 @@ class Job:
     """Held during the job, where several runs share a folder: one waits for the other and then finds the work done."""
     checkpoint_every: int | None = None
     """Iterations between two saved states of a group stage."""
+    cluster: ClusterAddress | None = None
+    """Workers that share a group stage."""
 
     @property
     def key(self) -> str:
@@ -110,6 +122,22 @@ def run_job(job: Job, events: Path, memory_mb: int | None) -> Outcome:
         return _run_job(job, events, memory_mb)
 
 
+@contextmanager
+def _engine(job: Job) -> Iterator[Engine | None]:
+    if job.cluster is None:
+        yield None
+        return
+    from ssmpipe.runner.cluster import connected
+    from ssmpipe.runner.engines import DaskEngine
+
+    with connected(job.cluster) as client:
+        engine = DaskEngine(client, job.workspace.scratch / "shared")
+        try:
+            yield engine
+        finally:
+            engine.close()
+
+
 def _run_job(job: Job, events: Path, memory_mb: int | None) -> Outcome:
     records: list[TaskRecord] = []
     scans: dict[str, dict[str, Any]] = {}
@@ -118,18 +146,20 @@ def _run_job(job: Job, events: Path, memory_mb: int | None) -> Outcome:
     try:
         for step_id in job.steps:
             step, current = job.workspace.plan.step(step_id), step_id
-            record = run_task(
-                job.workspace,
-                step,
-                job.shape,
-                job.ids,
-                force=step_id in job.forced,
-                prepare=job.prepare,
-                progress=tell.progress(step_id),
-                scans=scans,
-                started=lambda step_id=step_id: tell("start", step_id),  # type: ignore[misc]
-                checkpoint_every=job.checkpoint_every,
-            )
+            with _engine(job) as engine:
+                record = run_task(
+                    job.workspace,
+                    step,
+                    job.shape,
+                    job.ids,
+                    force=step_id in job.forced,
+                    prepare=job.prepare,
+                    progress=tell.progress(step_id),
+                    scans=scans,
+                    started=lambda step_id=step_id: tell("start", step_id),  # type: ignore[misc]
+                    checkpoint_every=job.checkpoint_every,
+                    engine=engine,
+                )
             records.append(record)
             tell("done", step_id, text=record.status)
     except DiskError as error:
@@ -385,7 +415,10 @@ class Batch:
         whole = data[: data.rfind(b"\n") + 1]
         self._read += len(whole)
         for line in whole.splitlines():
-            event = Event(*json.loads(line))
+            try:
+                event = Event(*json.loads(line))
+            except (ValueError, TypeError):  # where workers of several machines write, lines may mix
+                continue
             if event.kind == "start":
                 self._steps[event.key] = event.step
             self.on_event(event)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import copy
 import json
+import re
 import types
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from ssmpipe.contract import NamesShape, Stage
 from ssmpipe.core.errors import ConfigError, SsmpipeError
@@ -82,6 +83,31 @@ class LimitsConfig(_Section):
     ] = 10
 
 
+class SlurmConfig(_Section):
+    """Workers as SLURM jobs (dask-jobqueue); encrypted."""
+
+    queue: Annotated[str | None, Field(description="Partition; null: that of the site.")] = None
+    cores: Annotated[int, Field(ge=1, description="Worker processes of one SLURM job, one core each.")]
+    memory: Annotated[str, Field(description="Memory of one SLURM job, such as 64GB.")]
+    walltime: Annotated[str, Field(description="Time limit of a SLURM job, such as 04:00:00.")]
+    account: Annotated[str | None, Field(description="Account to charge; null: that of the user.")] = None
+    directives: Annotated[list[str], Field(description="Further #SBATCH options, such as '--constraint=avx2'.")] = []
+
+
+class SchedulerConfig(_Section):
+    """A scheduler that is started for the run."""
+
+    slurm: SlurmConfig
+
+
+class TlsConfig(_Section):
+    """Certificates for a scheduler at tls://."""
+
+    ca_file: Annotated[str, Field(description="Certificate of the authority that signed the others (PEM file).")]
+    cert: Annotated[str, Field(description="Certificate of this client (PEM file).")]
+    key: Annotated[str, Field(description="Private key of this client (PEM file).")]
+
+
 class RunConfig(_Section):
     """Config of a run: from a folder of scans to a model."""
 
@@ -105,6 +131,42 @@ class RunConfig(_Section):
         Field(ge=0, le=1, description="Group stages are not run when a larger fraction of the shapes failed [1]."),
     ] = 0.5
     limits: LimitsConfig = LimitsConfig()
+    executor: Annotated[
+        Literal["local", "dask"],
+        Field(description="Where work is done: processes of this machine, or a dask cluster (needs ssmpipe[dask])."),
+    ] = "local"
+    scheduler: Annotated[
+        str | SchedulerConfig,
+        Field(
+            description="With executor dask. local: a cluster on this machine; tcp://127.0.0.1:PORT or tls://HOST:PORT: one that "
+            "runs; {slurm: {queue, cores, memory, walltime}}: SLURM jobs."
+        ),
+    ] = "local"
+    tls: Annotated[TlsConfig | None, Field(description="Certificates for a tls:// scheduler.")] = None
+
+    @field_validator("scheduler")
+    @classmethod
+    def _an_address(cls, value: str | SchedulerConfig) -> str | SchedulerConfig:
+        if isinstance(value, str):
+            require_address(value)
+        return value
+
+    @property
+    def slurm(self) -> SlurmConfig | None:
+        """Options of SLURM jobs, if there are any."""
+        return self.scheduler.slurm if isinstance(self.scheduler, SchedulerConfig) else None
+
+
+def require_address(text: str) -> None:
+    """Refuse what is no scheduler.
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+    """
+    if text not in ("local", "slurm") and not re.fullmatch(r"(tcp|tls)://\S+:\d+", text):
+        raise ValueError(f"'{text}' is not local, slurm, tcp://HOST:PORT or tls://HOST:PORT")
 
 
 class ConfigErrors(ConfigError):

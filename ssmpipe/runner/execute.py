@@ -25,6 +25,7 @@ import numpy as np
 
 from ssmpipe.contract import Context, Port, Stage
 from ssmpipe.core.checkpoints import Checkpoints
+from ssmpipe.core.engine import Engine
 from ssmpipe.core.errors import SsmpipeError
 from ssmpipe.io.codecs import load_artifact, save_artifact, to_plain
 from ssmpipe.io.meshes import read_mesh
@@ -94,6 +95,7 @@ def run_task(
     scans: dict[str, dict[str, Any]] | None = None,
     started: Callable[[], None] | None = None,
     checkpoint_every: int | None = None,
+    engine: Engine | None = None,
 ) -> TaskRecord:
     """Run a task if it has to be run.
 
@@ -116,6 +118,8 @@ def run_task(
         Called when it is clear that the task has to run.
     checkpoint_every : int, optional
         Iterations between two states that a group stage saves; without it none is saved.
+    engine : Engine, optional
+        Processes that share a group stage.
 
     Raises
     ------
@@ -144,6 +148,7 @@ def run_task(
             ctx = Context(shape_id=shape or "", rng=make_rng(workspace.seed, shape, step.id), log=log)
             if progress is not None:
                 ctx.progress = progress
+            ctx.engine = engine
             if shape is None and not prepare and checkpoint_every is not None:
                 ctx.checkpoints = Checkpoints(saved.save, checkpoint_every, found.state)
             stage = workspace.registry.load(step.stage).suiting([s for s, p in step.inputs.items() if p is not None])

@@ -7,15 +7,16 @@ import os
 import platform
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ssmpipe.core.errors import ConfigError, SsmpipeError
-from ssmpipe.runner.batch import COHORT, Batch, Failure, Job, Outcome
+from ssmpipe.runner.batch import COHORT, Batch, ClusterAddress, Failure, Job, Outcome
 from ssmpipe.runner.checkpoint import CheckpointFile
-from ssmpipe.runner.config import Project, RunConfig
+from ssmpipe.runner.config import Project, RunConfig, require_address
 from ssmpipe.runner.console import Console
 from ssmpipe.runner.disk import DiskError, disk_errors, write_atomically
 from ssmpipe.runner.execute import TaskRecord, versions
@@ -42,6 +43,8 @@ class RunOptions:
     forced: frozenset[str] = frozenset()
     jobs: int | None = None
     part: tuple[int, int] | None = None
+    executor: str | None = None
+    scheduler: str | None = None
 
 
 @dataclass
@@ -163,6 +166,28 @@ def shortage(config: RunConfig, n_left: int, n_all: int) -> str:
     return ""
 
 
+def scheduler_of(config: RunConfig, options: RunOptions) -> str | None:
+    """Return the scheduler of a run, the command line before the config; None for processes of this machine.
+
+    Raises
+    ------
+    ConfigError
+        If a scheduler is named that would not be used, or the name is none.
+    """
+    executor = options.executor or config.executor
+    if executor == "local":
+        if options.scheduler is not None:
+            raise ConfigError("--scheduler is used with --executor dask only", "add --executor dask")
+        return None
+    if options.scheduler is None:
+        return config.scheduler if isinstance(config.scheduler, str) else "slurm"
+    try:
+        require_address(options.scheduler)
+    except ValueError as error:
+        raise ConfigError(f"--scheduler: {error}") from None
+    return options.scheduler
+
+
 def run_project(project: Project, options: RunOptions, console: Console) -> RunResult:
     """Run a project.
 
@@ -176,6 +201,11 @@ def run_project(project: Project, options: RunOptions, console: Console) -> RunR
         If the output cannot be written.
     """
     chosen = make_selection(project, options)
+    scheduler = scheduler_of(project.config, options)
+    if scheduler is not None:
+        from ssmpipe.runner.cluster import require_dask
+
+        require_dask(scheduler == "slurm")
     part = f"{options.part[0]}-of-{options.part[1]}" if options.part else None
     with locked(project.out, part):
         return _Run(project, options, chosen, console).go()
@@ -207,17 +237,9 @@ class _Run:
                 f"not all shapes are selected, so group stages are left out: {', '.join(self.chosen.dropped)}"
             )
         jobs = self.options.jobs or default_jobs()
-        limits = self.project.config.limits
-        batch = Batch(
-            jobs=min(jobs, max(1, len(self.chosen.shapes))),
-            scratch=self.workspace.scratch,
-            timeout_s=limits.timeout_s,
-            memory_mb=limits.memory_mb,
-            on_event=self.console.event,
-        )
         report: Path | None = None
         try:
-            with self.console, batch:
+            with self.console, self._batch(jobs) as batch:
                 self.alive = list(self._start_shapes())
                 for kind, steps in segments(self.chosen.steps):
                     if kind == "shape":
@@ -257,6 +279,30 @@ class _Run:
             n_current=sum(r.status == "up to date" for r in self.records.values()),
             problem=self.problem,
         )
+
+    @contextmanager
+    def _batch(self, jobs: int) -> Iterator[Batch]:
+        """Yield what runs jobs: children of this process, or workers of a cluster."""
+        config = self.project.config
+        shared: dict[str, Any] = {
+            "scratch": self.workspace.scratch,
+            "timeout_s": config.limits.timeout_s,
+            "memory_mb": config.limits.memory_mb,
+            "on_event": self.console.event,
+        }
+        scheduler = scheduler_of(config, self.options)
+        if scheduler is None:
+            with Batch(jobs=min(jobs, max(1, len(self.chosen.shapes))), **shared) as batch:
+                yield batch
+            return
+        from ssmpipe.runner.cluster import DaskBatch, open_cluster
+
+        base, folder = self.project.path.parent, self.workspace.scratch / "dask"
+        with open_cluster(config, scheduler, jobs, folder, base) as client:
+            address = ClusterAddress(client.scheduler.address, client.security, direct=scheduler == "local")
+            self.console.say(f"dask: {client.scheduler.address}, {len(client.nthreads())} workers so far")
+            with DaskBatch(jobs=1, client=client, address=address, **shared) as batch:
+                yield batch
 
     def _tidy(self) -> None:
         """Sweep what a killed run left behind; give folders their new number when the chain was changed."""

@@ -1,0 +1,79 @@
+"""What is said before a cluster is asked for anything: config, command line, safety, a missing extra."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from ssmpipe.core.errors import ConfigError
+from ssmpipe.runner.cluster import check_scheduler, is_loopback
+from ssmpipe.runner.config import Project
+from ssmpipe.runner.console import Console
+from ssmpipe.runner.run import RunOptions, run_project, scheduler_of
+
+Load = Callable[..., Project]
+SLURM = {"slurm": {"queue": "long", "cores": 8, "memory": "32GB", "walltime": "02:00:00"}}
+
+
+@pytest.mark.parametrize(
+    ("changes", "options", "expected"),
+    [
+        ({}, RunOptions(), None),
+        ({"scheduler": "tcp://127.0.0.1:8786"}, RunOptions(), None),
+        ({"executor": "dask"}, RunOptions(), "local"),
+        ({"executor": "dask", "scheduler": SLURM}, RunOptions(), "slurm"),
+        ({"executor": "dask", "scheduler": SLURM}, RunOptions(executor="local"), None),
+        ({"executor": "dask", "scheduler": SLURM}, RunOptions(scheduler="local"), "local"),
+        ({}, RunOptions(executor="dask", scheduler="tls://head:8786"), "tls://head:8786"),
+    ],
+)
+def test_the_command_line_comes_before_the_config(
+    project: Load, changes: dict[str, object], options: RunOptions, expected: str | None
+) -> None:
+    assert scheduler_of(project(**changes).config, options) == expected
+
+
+def test_bad_addresses_are_refused(project: Load) -> None:
+    with pytest.raises(ConfigError, match="'http://x' is not local, slurm, tcp://HOST:PORT or tls://HOST:PORT"):
+        project(executor="dask", scheduler="http://x")
+    config = project(executor="dask").config
+    with pytest.raises(ConfigError, match="--scheduler: 'head' is not local"):
+        scheduler_of(config, RunOptions(scheduler="head"))
+    with pytest.raises(ConfigError, match="add --executor dask"):
+        scheduler_of(project().config, RunOptions(scheduler="local"))
+    with pytest.raises(ConfigError, match="cores"):
+        project(executor="dask", scheduler={"slurm": {"queue": "long", "memory": "1GB", "walltime": "01:00:00"}})
+
+
+def test_nothing_unencrypted_leaves_the_machine() -> None:
+    for safe in ("local", "slurm", "tcp://127.0.0.1:1", "tcp://localhost:1", "tcp://[::1]:1"):
+        check_scheduler(safe, encrypted=False)
+    for open_to_others in (
+        "tcp://10.0.0.7:8786",
+        "tcp://head.cluster:8786",
+        "tcp://0.0.0.0:8786",
+        "tcp://127.evil.org:1",
+    ):
+        with pytest.raises(ConfigError, match="not on this machine and not encrypted"):
+            check_scheduler(open_to_others, encrypted=True)
+    with pytest.raises(ConfigError, match="needs certificates"):
+        check_scheduler("tls://head:8786", encrypted=False)
+    check_scheduler("tls://head:8786", encrypted=True)
+    assert not is_loopback("")
+
+
+def test_without_the_extra_the_remedy_is_named(project: Load, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    loaded = project(executor="dask")
+    with pytest.raises(ConfigError, match=r"distributed, which is not installed; try: pip install 'ssmpipe\[dask\]'"):
+        run_project(loaded, RunOptions(), Console(-1))
+    assert not loaded.out.exists()
+
+
+def test_a_local_run_does_not_import_dask(write_config: Callable[..., Path]) -> None:
+    code = "import sys, ssmpipe.runner.run, ssmpipe.runner.engines, ssmpipe.runner.cluster; sys.exit('distributed' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
