@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -32,6 +32,13 @@ class Config(StageConfig):
             description="Side of both rims on which the cut ends where no landmark has the role seam, in the aligned frame [-]."
         ),
     ] = (0.0, 0.0, 1.0)
+    path: Annotated[
+        Literal["edges", "geodesic"],
+        Field(
+            description="Line of the cut. edges: the shortest path of edges of the mesh; geodesic: straightened across the faces, which "
+            "get new edges along it, so that the seam depends less on the triangles."
+        ),
+    ] = "edges"
 
     @model_validator(mode="after")
     def _consistent(self) -> Config:
@@ -52,7 +59,7 @@ def run(mesh: TriMesh, landmarks: Landmarks | None = None, *, cfg: Config, ctx: 
             f"the two rims {why}, so which one is opening 1 is nearly arbitrary; set cut.axis along the tube, or assign landmarks to "
             "opening_1 and opening_2"
         )
-    made, clear = cut_tube(mesh, (rim_1, rim_2), through=through, side=np.array(cfg.seam_direction))
+    made, clear = cut_tube(mesh, (rim_1, rim_2), through=through, side=np.array(cfg.seam_direction), path_by=cfg.path)
     if clear < 0.3:
         ctx.warn(
             "cut.seam_direction runs nearly along the tube at one of its rims, so the place of the seam is nearly arbitrary; choose a "
@@ -75,7 +82,7 @@ STAGE = Stage(
     run=run,
     inputs=(Port("mesh", "trimesh"), Port("landmarks", "landmarks", optional=True)),
     outputs=(Port("mesh", "trimesh"), Port("seam", "seam")),
-    methods="Tubes were cut open along a shortest path of edges from one opening to the other.",
+    methods="Tubes were cut open along a shortest path ({path}) from one opening to the other.",
     cites=("li2015",),
     roles=ROLES,
 )

@@ -75,6 +75,15 @@ def test_arbitrary_choices_are_told():
         cut.Config(axis=(0.0, 0.0, 0.0))
 
 
+def test_the_path_of_the_cut_may_cross_faces():
+    lengths = {}
+    for path in ("edges", "geodesic"):
+        opened, ctx = go(cut, {**ACROSS, "path": path}, mesh=bent_tube())
+        lengths[path] = ctx.metrics["seam_mm"]
+        assert opened["mesh"].n_vertices == ctx.metrics["n_vertices"]
+    assert lengths["geodesic"] < 0.995 * lengths["edges"]
+
+
 def test_a_tube_has_to_be_cut_first_and_a_disk_needs_no_cut():
     with pytest.raises(TopologyError, match="must be cut open"):
         go(parameterize, {"topology": "tube"}, mesh=tube())

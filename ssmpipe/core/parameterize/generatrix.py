@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from ssmpipe.core.mesh.topology import boundary_loops, euler_characteristic, loo
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.parameterize.boundary import corners_by_angle, rim_centroid, split_chords
 from ssmpipe.core.parameterize.cutting import cut_along, shortest_path
+from ssmpipe.core.parameterize.geodesic import Geodesic, inserted, straightened
 from ssmpipe.core.parameterize.seam import Seam
 
 SNAP = 1e-3
@@ -90,7 +92,12 @@ def rims_of(
 
 
 def cut_tube(
-    mesh: TriMesh, rims: tuple[Ints, Ints], *, through: Floats | None = None, side: Floats
+    mesh: TriMesh,
+    rims: tuple[Ints, Ints],
+    *,
+    through: Floats | None = None,
+    side: Floats,
+    path_by: Literal["edges", "geodesic"] = "edges",
 ) -> tuple[CutTube, float]:
     """Cut a tube open from rim to rim along a shortest path of edges (Dijkstra 1959; Li 2015, section 4.2).
 
@@ -107,6 +114,8 @@ def cut_tube(
     side : (3,) float64
         Without a landmark the path joins the places of both rims that are seen from their centroids in this direction of the
         aligned frame, laid into the plane of each rim; so all patients are cut on the same side.
+    path_by : {"edges", "geodesic"}
+        Whether the path is straightened across the faces (:mod:`ssmpipe.core.parameterize.geodesic`), which then get new edges.
 
     Returns
     -------
@@ -121,7 +130,7 @@ def cut_tube(
     TopologyError
         If the rims cannot be joined.
     """
-    clearness = 1.0
+    clearness, middle = 1.0, None
     if through is None:
         ends = []
         for rim in rims:
@@ -144,9 +153,45 @@ def cut_tube(
         down = shortest_path(mesh, middle, rims[0], rims[1])
         up = shortest_path(mesh, middle, rims[1], np.union1d(rims[0], down[1:]))
         path = np.concatenate([down[::-1], up[1:]])
+    if path_by == "geodesic":
+        mesh, path = _straight(mesh, path, middle)
     opened = cut_along(mesh, path)
     length = float(edge_lengths(mesh, np.column_stack([path[:-1], path[1:]])).sum())
     return CutTube(opened.mesh, Seam("tube", opened.pairs), length), clearness
+
+
+def _straight(mesh: TriMesh, path: Ints, middle: int | None) -> tuple[TriMesh, Ints]:
+    """Straighten a path, on both sides of its middle; where there is one, the ends slide along the rims to shorten it."""
+    if middle is None:
+        return inserted(mesh, straightened(mesh, path))
+    at = int(np.flatnonzero(path == middle)[0])
+    down, up = (_nearest_on_rim(mesh, part) for part in (path[at::-1], path[at:]))
+    joined = Geodesic(
+        np.concatenate([down.edges[::-1], up.edges[1:]]),
+        np.concatenate([down.fraction[::-1], up.fraction[1:]]),
+        down.length + up.length,
+    )
+    return inserted(mesh, joined)
+
+
+def _nearest_on_rim(mesh: TriMesh, path: Ints) -> Geodesic:
+    """Return the geodesic to the vertex of the rim, near the end of a path, that is nearest to its start."""
+    best = straightened(mesh, path)
+    rim = next(loop for loop in boundary_loops(mesh.faces) if path[-1] in loop)
+    others = np.setdiff1d(np.concatenate(boundary_loops(mesh.faces)), rim)
+    place = int(np.flatnonzero(rim == path[-1])[0])
+    for step in (1, -1):
+        while True:
+            end = int(rim[(place + step) % len(rim)])
+            forbidden = np.union1d(np.setdiff1d(rim, end), others)
+            try:
+                other = straightened(mesh, shortest_path(mesh, int(path[0]), np.array([end]), forbidden))
+            except TopologyError:
+                break
+            if other.length >= best.length:
+                break
+            best, place = other, place + step
+    return best
 
 
 def _rim_place(mesh: TriMesh, rim: Ints, side: Floats) -> tuple[Floats, float]:

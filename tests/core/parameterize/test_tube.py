@@ -5,6 +5,7 @@ import pytest
 
 from ssmpipe.core.align.rigid import move
 from ssmpipe.core.errors import GeometryError, TopologyError
+from ssmpipe.core.mesh.operators import area
 from ssmpipe.core.mesh.primitives import flat_square, torus, tube
 from ssmpipe.core.mesh.topology import boundary_loops, euler_characteristic
 from ssmpipe.core.mesh.trimesh import TriMesh
@@ -20,9 +21,9 @@ from tests.support.meshes import bent_tube
 X, Y, Z = np.eye(3)
 
 
-def cut(mesh, side=Y, axis=None, through=None):
+def cut(mesh, side=Y, axis=None, through=None, path_by="edges"):
     rim_1, rim_2, _ = rims_of(mesh, axis=axis)
-    return cut_tube(mesh, (rim_1, rim_2), through=through, side=side)[0]
+    return cut_tube(mesh, (rim_1, rim_2), through=through, side=side, path_by=path_by)[0]
 
 
 def test_a_cylinder_unrolls_isometrically():
@@ -122,6 +123,37 @@ def test_the_seam_runs_through_the_landmark_or_on_the_side():
         ends = one.mesh.vertices[one.seam.pairs[[0, -1], 0]]
         assert (sign * ends[:, 1] > 2.5).all()
         assert np.isin(one.seam.pairs[1:-1], np.concatenate(boundary_loops(pipe.faces))).sum() == 0
+
+
+@pytest.mark.parametrize("through", [None, [8.0, -3.5, 12.0]])
+def test_a_geodesic_cut_is_shorter_and_maps_as_well(through):
+    pipe = bent_tube()
+    mark = None if through is None else pipe.vertices[np.argmin(np.linalg.norm(pipe.vertices - through, axis=1))]
+    by_edges, straight = (cut(pipe, through=mark, path_by=way) for way in ("edges", "geodesic"))
+    assert 0.9 * by_edges.length < straight.length < 0.995 * by_edges.length
+    assert euler_characteristic(straight.mesh.faces) == 1
+    assert len(boundary_loops(straight.mesh.faces)) == 1
+    assert area(straight.mesh) == pytest.approx(area(pipe), rel=1e-12)
+    seam = straight.mesh.vertices[straight.seam.pairs[:, 0]]
+    assert np.array_equal(seam, straight.mesh.vertices[straight.seam.pairs[:, 1]])
+    if mark is not None:
+        assert (seam == mark).all(axis=1).any()
+    result = parameterize_tube(straight.mesh, straight.seam)
+    assert not folded(result.value, straight.mesh.faces).any()
+    assert result.history["stretch"][-1] < 1.2
+
+
+def test_a_geodesic_does_not_see_the_triangles():
+    # the other diagonal in every cell of a tube: a straight line along it is no path of edges
+    pipe = tube(5.0, 20.0, 40, 21)
+    skew = TriMesh(
+        pipe.vertices @ np.array([[np.cos(1.0), np.sin(1.0), 0], [-np.sin(1.0), np.cos(1.0), 0], [0, 0, 1]]), pipe.faces
+    )
+    turned = np.arctan2(skew.vertices[:, 1], skew.vertices[:, 0]) + 0.08 * skew.vertices[:, 2]
+    helical = TriMesh(np.column_stack([5 * np.cos(turned), 5 * np.sin(turned), skew.vertices[:, 2]]), pipe.faces)
+    lengths = [cut(helical, axis=Z, side=X, path_by=way).length for way in ("edges", "geodesic")]
+    assert lengths[0] > 20.3
+    assert lengths[1] == pytest.approx(20.0, abs=0.05)
 
 
 def test_what_is_not_a_tube_is_refused():

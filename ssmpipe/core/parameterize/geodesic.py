@@ -1,0 +1,322 @@
+"""Straighten a path of edges to a geodesic that crosses faces, and make it a path of edges again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from ssmpipe.core.arrays import Floats, Ints
+from ssmpipe.core.errors import TopologyError
+from ssmpipe.core.mesh.operators import edge_lengths
+from ssmpipe.core.mesh.topology import boundary_half_edges, split_edges, unique_edges
+from ssmpipe.core.mesh.trimesh import TriMesh
+
+SNAP = 1e-3
+"""A geodesic that crosses an edge nearer than this share of its length to a vertex is led through the vertex [-]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Geodesic:
+    """A locally shortest path on a surface.
+
+    Attributes
+    ----------
+    edges : (n, 2) int64
+        Edge on which each point of the path lies; a vertex is given twice.
+    fraction : (n,) float64
+        Place on the edge, from its first vertex to its second [-].
+    length : float
+        [mm]
+    """
+
+    edges: Ints
+    fraction: Floats
+    length: float
+
+
+def straightened(mesh: TriMesh, path: Ints, max_rounds: int = 100_000) -> Geodesic:
+    """Return the geodesic to which a path of edges shrinks, between the same ends.
+
+    The faces beside the path are unfolded into the plane, where a funnel gives the shortest line in their strip (Lee and
+    Preparata 1984). Where it bends at a vertex with less than half a turn on the outer side, the strip is led around the vertex on
+    that side (Xin and Wang 2007). Every round shortens the line, so this ends; no bend is left that a detour would shorten.
+
+    Parameters
+    ----------
+    mesh : TriMesh
+        Oriented manifold.
+    path : (n,) int64
+        Vertices joined by edges; only the ends may lie on the boundary.
+    max_rounds : int
+
+    Raises
+    ------
+    TopologyError
+        If the geodesic is pressed against the boundary.
+
+    Examples
+    --------
+    >>> from ssmpipe.core.mesh.primitives import flat_square
+    >>> square = flat_square(4)
+    >>> around = np.array([0, 4, 5, 9, 13, 14, 15])
+    >>> bool(np.isclose(straightened(square, around).length, np.sqrt(2)))
+    True
+    """
+    if len(path) == 2:
+        return _along(mesh, path)
+    neighbour = _neighbours(mesh)
+    total = _angles(mesh)
+    rim = np.zeros(mesh.n_vertices, dtype=bool)
+    rim[boundary_half_edges(mesh.faces)] = True
+    start, goal = int(path[0]), int(path[-1])
+    strip = _tidied(mesh, _strip(mesh, neighbour, path), start, goal)
+    for _ in range(max_rounds):
+        portals = _portals(mesh, neighbour, strip)
+        flat, ends = _unfolded(mesh, strip, portals, start, goal)
+        bends = _funnel(flat, portals, ends)
+        turned = _shortening(bends, flat, portals, ends, total)
+        if turned is None:
+            return _crossings(mesh, bends, flat, portals, ends, (start, goal))
+        if rim[turned]:
+            x, y, z = mesh.vertices[turned]
+            raise TopologyError(
+                f"the shortest line between the ends of the seam runs along the boundary at ({x:.1f}, {y:.1f}, {z:.1f}) mm",
+                "move the landmarks of the seam, or use cut.path: edges",
+            )
+        strip = _tidied(mesh, _around(mesh, neighbour, strip, turned), start, goal)
+    raise TopologyError(
+        f"the seam could not be straightened in {max_rounds} rounds", "use cut.path: edges, or decimate first"
+    )
+
+
+def inserted(mesh: TriMesh, geodesic: Geodesic) -> tuple[TriMesh, Ints]:
+    """Make a geodesic a path of edges: every edge that it crosses gets a vertex there.
+
+    Returns
+    -------
+    mesh : TriMesh
+        The same surface; the old vertices come first.
+    path : (n,) int64
+        Its vertices along the geodesic.
+    """
+    rim = np.zeros(mesh.n_vertices, dtype=bool)
+    rim[boundary_half_edges(mesh.faces)] = True
+    a, b = geodesic.edges.T
+    t = geodesic.fraction
+    at_a = (a == b) | ((t < SNAP) & ~rim[a])
+    at_b = ~at_a & (t > 1 - SNAP) & ~rim[b]
+    crossing = ~at_a & ~at_b
+    points = mesh.vertices[a] + t[:, None] * (mesh.vertices[b] - mesh.vertices[a])
+    number = np.where(at_a, a, b)
+    number[crossing] = mesh.n_vertices + np.arange(int(crossing.sum()))
+    result = split_edges(mesh, geodesic.edges[crossing], points[crossing])
+    path = number[np.r_[True, number[1:] != number[:-1]]]
+    known = unique_edges(result.faces).vertices
+    pairs = np.sort(np.column_stack([path[:-1], path[1:]]), axis=1)
+    size = result.n_vertices
+    if len(np.unique(path)) < len(path) or not np.isin(pairs @ [size, 1], known @ [size, 1]).all():
+        raise TopologyError("the geodesic cannot be made a path of edges", "use cut.path: edges")
+    return result, path
+
+
+def _along(mesh: TriMesh, path: Ints) -> Geodesic:
+    edges = np.column_stack([path, path])
+    return Geodesic(edges, np.zeros(len(path)), float(edge_lengths(mesh, path[None, :2]).sum()))
+
+
+def _neighbours(mesh: TriMesh) -> Ints:
+    """Return the face across the side from corner k to k + 1, (n_faces, 3); -1 where there is none."""
+    edges = unique_edges(mesh.faces)
+    order = np.argsort(edges.of_face.ravel(), kind="stable")
+    start = np.concatenate([[0], np.cumsum(edges.n_faces)])
+    inner = np.flatnonzero(edges.n_faces == 2)
+    one, other = order[start[inner]], order[start[inner] + 1]
+    result = np.full(3 * mesh.n_faces, -1)
+    result[one], result[other] = other // 3, one // 3
+    return result.reshape(-1, 3)
+
+
+def _angles(mesh: TriMesh) -> Floats:
+    """Return the sum of the angles of the faces at every vertex, (n_vertices,) [rad]."""
+    total = np.zeros(mesh.n_vertices)
+    for k in range(3):
+        at, one, two = (mesh.vertices[mesh.faces[:, (k + m) % 3]] for m in range(3))
+        cross = np.linalg.norm(np.cross(one - at, two - at), axis=1)
+        angle = np.arctan2(cross, np.einsum("ij,ij->i", one - at, two - at))
+        total += np.bincount(mesh.faces[:, k], weights=angle, minlength=mesh.n_vertices)
+    return total
+
+
+def _fan(mesh: TriMesh, neighbour: Ints, vertex: int, first: int, last: int, clockwise: bool) -> list[int]:
+    """Return the faces around a vertex from ``first`` to ``last``, both included."""
+    faces, at = [first], first
+    while at != last:
+        k = int(np.flatnonzero(mesh.faces[at] == vertex)[0])
+        # a face (vertex, b, c) is followed counter-clockwise by the one across (c, vertex), clockwise across (vertex, b)
+        at = int(neighbour[at, k if clockwise else (k + 2) % 3])
+        if at < 0 or at == first:
+            raise TopologyError(
+                "the seam's path touches the boundary between its ends", "use another place for the seam"
+            )
+        faces.append(at)
+    return faces
+
+
+def _strip(mesh: TriMesh, neighbour: Ints, path: Ints) -> list[int]:
+    """Return the faces to the left of a path of edges, in its order."""
+    half = np.stack([mesh.faces, np.roll(mesh.faces, -1, axis=1)], axis=2)
+    size = mesh.n_vertices
+    keys = (half[..., 0] * size + half[..., 1]).ravel()
+    order = np.argsort(keys)
+    wanted = path[:-1] * size + path[1:]
+    left = order[np.searchsorted(keys[order], wanted)] // 3
+    strip: list[int] = [int(left[0])]
+    for k in range(1, len(path) - 1):
+        strip += _fan(mesh, neighbour, int(path[k]), int(left[k - 1]), int(left[k]), clockwise=True)[1:]
+    return strip
+
+
+def _tidied(mesh: TriMesh, strip: list[int], start: int, goal: int) -> list[int]:
+    """Leave out what a strip visits twice, and faces before the last one at the start and after the first one at the goal."""
+    last = {face: k for k, face in enumerate(strip)}
+    simple, k = [], 0
+    while k < len(strip):
+        k = last[strip[k]]
+        simple.append(strip[k])
+        k += 1
+    at_start = [k for k, face in enumerate(simple) if start in mesh.faces[face]]
+    simple = simple[at_start[-1] :]
+    at_goal = [k for k, face in enumerate(simple) if goal in mesh.faces[face]]
+    return simple[: at_goal[0] + 1]
+
+
+def _portals(mesh: TriMesh, neighbour: Ints, strip: list[int]) -> Ints:
+    """Return the left and right vertex of the sides between consecutive faces of a strip, (n - 1, 2)."""
+    faces = np.array(strip)
+    side = (neighbour[faces[:-1]] == faces[1:, None]).argmax(axis=1)
+    right = mesh.faces[faces[:-1], side]
+    left = mesh.faces[faces[:-1], (side + 1) % 3]
+    return np.column_stack([left, right])
+
+
+def _unfolded(mesh: TriMesh, strip: list[int], portals: Ints, start: int, goal: int) -> tuple[Floats, Floats]:
+    """Lay a strip into the plane; return its portals, (n, 2, 2): left and right, and both ends, (2, 2) [mm]."""
+    v = mesh.vertices
+
+    def beyond(left: Floats, right: Floats, a: int, b: int, c: int) -> Floats:
+        """Place vertex c in front of the portal with left vertex a and right vertex b."""
+        along = left - right
+        length = float(np.hypot(*along))
+        along = along / length
+        to = v[c] - v[b]
+        x = float(to @ (v[a] - v[b])) / length
+        height = float(np.sqrt(max(to @ to - x * x, 0.0)))
+        return np.asarray(right + x * along + height * np.array([along[1], -along[0]]))
+
+    if len(portals) == 0:
+        return np.empty((0, 2, 2)), np.array([[0.0, 0.0], [0.0, float(np.linalg.norm(v[goal] - v[start]))]])
+    flat = np.empty((len(portals), 2, 2))
+    a, b = portals[0]
+    flat[0] = [[0.0, 0.0], [float(np.linalg.norm(v[a] - v[b])), 0.0]]
+    # the start lies behind the first portal: mirrored at it
+    begin = beyond(flat[0, 0], flat[0, 1], a, b, start) * [1.0, -1.0]
+    for k in range(1, len(portals)):
+        old, new = portals[k - 1], portals[k]
+        kept = old == new
+        flat[k][kept] = flat[k - 1][kept]
+        flat[k][~kept] = beyond(flat[k - 1, 0], flat[k - 1, 1], old[0], old[1], int(new[~kept][0]))
+    a, b = portals[-1]
+    return flat, np.stack([begin, beyond(flat[-1, 0], flat[-1, 1], a, b, goal)])
+
+
+def _turn(a: Floats, b: Floats, c: Floats) -> float:
+    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+
+
+def _funnel(flat: Floats, portals: Ints, ends: Floats) -> list[tuple[int, int]]:
+    """Return the bends of the shortest line through the portals: number of the last portal with it, and side (0: left)."""
+    n = len(portals)
+    places = np.concatenate([flat, np.repeat(ends[1][None, None], 2, axis=1)])
+    number = np.concatenate([portals, [[-2, -2]]])
+    apex, bends = ends[0], []
+    tip, tip_id = [apex, apex], [-1, -1]
+    at, apex_id, k = [-1, -1], -1, 0
+    while k <= n:
+        restart = False
+        for side, sign in ((1, 1.0), (0, -1.0)):
+            new, new_id = places[k, side], int(number[k, side])
+            if sign * _turn(apex, tip[side], new) < 0 and tip_id[side] != apex_id:
+                continue
+            other = 1 - side
+            open_ = tip_id[side] == apex_id or tip_id[other] == apex_id
+            if open_ or new_id in tip_id or sign * _turn(apex, tip[other], new) < 0:
+                tip[side], tip_id[side], at[side] = new, new_id, k
+                continue
+            # the line bends at the tip of the other side
+            apex, apex_id, k = tip[other], tip_id[other], at[other]
+            while k + 1 < n and number[k + 1, other] == apex_id:
+                k += 1
+            bends.append((k, other))
+            tip, tip_id, at = [apex, apex], [apex_id, apex_id], [k, k]
+            restart = True
+            break
+        k += 1
+        if restart:
+            continue
+    return bends
+
+
+def _shortening(bends: list[tuple[int, int]], flat: Floats, portals: Ints, ends: Floats, total: Floats) -> int | None:
+    """Return a vertex at which the line bends and would be shorter on the other side; the sharpest one."""
+    corner = [ends[0], *(flat[k, side] for k, side in bends), ends[1]]
+    best, vertex = 1e-9, None
+    for m, (k, side) in enumerate(bends, start=1):
+        one, two = corner[m - 1] - corner[m], corner[m + 1] - corner[m]
+        inner = float(np.arctan2(abs(one[0] * two[1] - one[1] * two[0]), one @ two))
+        gain = 3 * np.pi - float(total[portals[k, side]]) - inner
+        if gain > best:
+            best, vertex = gain, int(portals[k, side])
+    return vertex
+
+
+def _around(mesh: TriMesh, neighbour: Ints, strip: list[int], vertex: int) -> list[int]:
+    """Lead a strip around the other side of a vertex."""
+    has = [k for k, face in enumerate(strip) if vertex in mesh.faces[face]]
+    first, last = has[0], has[-1]
+    if first == last:
+        raise TopologyError("the seam cannot be straightened", "use cut.path: edges")
+    k = int(np.flatnonzero(mesh.faces[strip[first]] == vertex)[0])
+    goes_clockwise = int(neighbour[strip[first], k]) == strip[first + 1]
+    fan = _fan(mesh, neighbour, vertex, strip[first], strip[last], clockwise=not goes_clockwise)
+    return strip[:first] + fan + strip[last + 1 :]
+
+
+def _crossings(
+    mesh: TriMesh, bends: list[tuple[int, int]], flat: Floats, portals: Ints, ends: Floats, ids: tuple[int, int]
+) -> Geodesic:
+    """Return where the line crosses the portals."""
+    corner = [ends[0], *(flat[k, side] for k, side in bends), ends[1]]
+    number = [ids[0], *(int(portals[k, side]) for k, side in bends), ids[1]]
+    edges, fraction = [(ids[0], ids[0])], [0.0]
+    segment = 0
+    for k in range(len(portals)):
+        while segment < len(bends) and k > bends[segment][0]:
+            segment += 1
+            edges.append((number[segment], number[segment]))
+            fraction.append(0.0)
+        a, b = corner[segment], corner[segment + 1]
+        if np.isin(portals[k], (number[segment], number[segment + 1])).any():
+            continue  # it meets this portal in the bend itself
+        left, right = flat[k]
+        one, two = _turn(a, b, left), _turn(a, b, right)
+        edges.append((int(portals[k, 0]), int(portals[k, 1])))
+        fraction.append(min(max(one / (one - two), 0.0), 1.0) if one != two else 0.5)
+    for m in range(segment, len(bends)):
+        edges.append((number[m + 1], number[m + 1]))
+        fraction.append(0.0)
+    edges.append((ids[1], ids[1]))
+    fraction.append(0.0)
+    length = sum(float(np.linalg.norm(q - p)) for p, q in pairwise(corner))
+    return Geodesic(np.array(edges), np.array(fraction), length)
