@@ -22,6 +22,7 @@ uv                (n_vertices, 2) float64, one row per mesh vertex; unit square,
 samples           (n_u, n_v, 3) float64                                                        samples.npz
 surface           :class:`ssmpipe.core.spline.surface.BSplineSurface` or BSplineCurve          surface.npz
 reference         what all shapes are aligned to, TriMesh or Outline; by ``Stage.prepare``     reference.ply, .csv
+chain             :class:`ssmpipe.core.model.shape_model.Chain`, from the runner               (never written)
 correspondence    :class:`ssmpipe.core.correspondence.correspondence.Correspondence`           correspondence.npz
 certificate       dict, kind ``json``                                                          certificate.json
 history           :class:`Table`                                                               history.csv

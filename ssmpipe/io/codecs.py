@@ -19,6 +19,7 @@ from ssmpipe.core.outline.outline import Outline
 from ssmpipe.core.parameterize.seam import Seam
 from ssmpipe.io.arrays import read_npz, write_npz
 from ssmpipe.io.meshes import read_mesh, write_mesh
+from ssmpipe.io.models import read_model, write_model
 from ssmpipe.io.outlines import read_outline, write_outline
 from ssmpipe.io.splines import read_spline, write_spline
 from ssmpipe.io.statismo import write_statismo
@@ -242,24 +243,13 @@ def _load_correspondence(paths: list[Path]) -> Correspondence:
 
 
 def _save_model(slot: str, obj: ShapeModel, folder: Path) -> list[str]:
-    arrays: dict[str, Any] = {"ids": np.array(obj.ids, dtype=np.str_)}
-    arrays.update((name, getattr(obj, name)) for name in ("mean", "modes", "variances", "scores", "faces"))
-    arrays["grid"] = np.array(obj.grid, dtype=np.int64)
-    arrays["topology"] = np.array(obj.topology)
-    write_npz(folder / f"{slot}.npz", arrays)
+    write_model(folder / f"{slot}.npz", obj)
     write_statismo(folder / f"{slot}.h5", obj)
     return [f"{slot}.npz", f"{slot}.h5"]
 
 
 def _load_model(paths: list[Path]) -> ShapeModel:
-    path = next(p for p in paths if p.suffix == ".npz")
-    arrays = read_npz(path, ("ids", "mean", "modes", "variances", "scores", "grid", "faces", "topology"))
-    return ShapeModel(
-        ids=tuple(arrays["ids"].tolist()),
-        grid=tuple(arrays["grid"].tolist()),
-        topology=str(arrays["topology"]),
-        **{name: arrays[name] for name in ("mean", "modes", "variances", "scores", "faces")},
-    )
+    return read_model(next(p for p in paths if p.suffix == ".npz"))
 
 
 def _save_table(slot: str, obj: Any, folder: Path) -> list[str]:

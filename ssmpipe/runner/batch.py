@@ -54,6 +54,17 @@ class ClusterAddress:
 
 
 @dataclass(frozen=True)
+class Closing:
+    """What is done with a shape when its stages are through, in the same child; returns warnings.
+
+    ``run`` must be importable by name, or a ``functools.partial`` of such a function, to reach the child.
+    """
+
+    name: str
+    run: Callable[[Workspace, str], Sequence[str]]
+
+
+@dataclass(frozen=True)
 class Job:
     """Work for one child process: a shape through consecutive stages, or one task for the cohort."""
 
@@ -69,6 +80,7 @@ class Job:
     """Iterations between two saved states of a group stage."""
     cluster: ClusterAddress | None = None
     """Workers that share a group stage."""
+    closing: Closing | None = None
 
     @property
     def key(self) -> str:
@@ -162,6 +174,14 @@ def _run_job(job: Job, events: Path, memory_mb: int | None) -> Outcome:
                 )
             records.append(record)
             tell("done", step_id, text=record.status)
+        if job.closing is not None and job.shape is not None:
+            current = job.closing.name
+            tell("start", current)
+            begin = time.perf_counter()
+            warnings = tuple(job.closing.run(job.workspace, job.shape))
+            seconds = time.perf_counter() - begin
+            records.append(TaskRecord(current, job.shape, "done", "", warnings=warnings, seconds=seconds))
+            tell("done", current)
     except DiskError as error:
         return Outcome(tuple(records), disk=f"{error.strerror or error}: {error.filename or job.workspace.out}")
     except OSError as error:
@@ -391,7 +411,7 @@ class Batch:
     def _outcome(self, job: Job, future: Any) -> Outcome:
         from pebble import ProcessExpired
 
-        stage = self._steps.get(job.key, job.steps[0])
+        stage = self._steps.get(job.key, job.steps[0] if job.steps else "")
         try:
             return future.result()
         except FutureTimeout:

@@ -32,9 +32,10 @@ from ssmpipe.io.meshes import read_mesh
 from ssmpipe.io.outlines import read_outline
 from ssmpipe.runner.checkpoint import CheckpointFile, Found
 from ssmpipe.runner.disk import disk_errors, flush
+from ssmpipe.runner.chain import read_chain
 from ssmpipe.runner.fingerprint import VOLATILE, file_digest
 from ssmpipe.runner.manifest import FILE, Manifest, Output
-from ssmpipe.runner.plan import SCAN, PlannedStep, Producer
+from ssmpipe.runner.plan import CHAIN, SCAN, PlannedStep, Producer
 from ssmpipe.runner.registry import Registry
 from ssmpipe.runner.sources import Source
 from ssmpipe.runner.workspace import Workspace
@@ -269,6 +270,8 @@ def _inputs(
                 for warning in scans[key]["warnings"]:
                     ctx.warn(warning if shape else f"{key}: {warning}")
             return scans[key][slot]
+        if producer.step == CHAIN:
+            return read_chain(workspace)
         folder, manifest = workspace.produced(producer, member)
         if manifest is None:
             raise AssertionError("digests were read from it a moment ago")
@@ -293,6 +296,8 @@ def _origin(workspace: Workspace, producer: Producer, shape: str | None) -> str:
     """Say where an input came from, without naming the machine's folders."""
     if producer.step == SCAN:
         return workspace.sources[shape].path.name if shape is not None else "scans"
+    if producer.step == CHAIN:
+        return CHAIN
     return producer.step + ("-prepare" if producer.prepared else "")
 
 

@@ -10,6 +10,7 @@ from ssmpipe.contract import Port, Scope, Stage
 from ssmpipe.core.errors import ConfigError
 
 SCAN = "scan"  # the producer of what comes from the input files
+CHAIN = "chain"  # the producer of the slot of the same name: the runner itself, which knows the chain
 
 
 @dataclass(frozen=True)
@@ -64,8 +65,8 @@ class PlannedStep:
 
     @property
     def upstream(self) -> list[Producer]:
-        """Producers of the inputs, the scan left out."""
-        return [p for p in self.inputs.values() if p is not None and p.step != SCAN]
+        """Producers of the inputs, the scan and the runner left out."""
+        return [p for p in self.inputs.values() if p is not None and p.step not in (SCAN, CHAIN)]
 
 
 class PlanError(ConfigError):
@@ -117,6 +118,7 @@ def make_plan(steps: Sequence[Step], source: Mapping[str, str]) -> Plan:
     made: dict[str, list[tuple[Producer, str]]] = {
         slot: [(Producer(SCAN, "shape"), kind)] for slot, kind in source.items()
     }
+    made[CHAIN] = [(Producer(CHAIN, "cohort"), CHAIN)]
     planned: list[PlannedStep] = []
     problems: list[tuple[str, str]] = []
     for number, step in enumerate(steps, start=1):

@@ -21,7 +21,7 @@ from ssmpipe.runner.console import Console
 from ssmpipe.runner.disk import DiskError, disk_errors, write_atomically
 from ssmpipe.runner.execute import TaskRecord, versions
 from ssmpipe.runner.lock import locked
-from ssmpipe.runner.plan import SCAN, PlannedStep, segments, select
+from ssmpipe.runner.plan import CHAIN, SCAN, PlannedStep, segments, select
 from ssmpipe.runner.record import read_failures, run_record, write_failures
 from ssmpipe.runner.registry import REPORT
 from ssmpipe.runner.suggest import count, did_you_mean
@@ -402,7 +402,7 @@ class _Run:
         missing: dict[str, str] = {}
         for step in steps:
             for slot, producer in step.inputs.items():
-                if producer is None or producer.step == SCAN or producer.step in inside or producer.prepared:
+                if producer is None or producer.step in (SCAN, CHAIN, *inside) or producer.prepared:
                     continue
                 for shape in ids:
                     if self.workspace.produced(producer, shape)[1] is None:

@@ -10,7 +10,7 @@ from typing import Any
 from ssmpipe.core.errors import SsmpipeError
 from ssmpipe.runner.fingerprint import digest
 from ssmpipe.runner.manifest import Decision, Manifest, Request, damaged_outputs, decide, read_manifest
-from ssmpipe.runner.plan import SCAN, Plan, PlannedStep, Producer
+from ssmpipe.runner.plan import CHAIN, SCAN, Plan, PlannedStep, Producer
 from ssmpipe.runner.registry import Registry
 from ssmpipe.runner.sources import Source
 
@@ -91,6 +91,8 @@ class Workspace:
         """
         if producer.step == SCAN:
             return self.sources[str(shape)].digest(slot)
+        if producer.step == CHAIN:
+            return self._chain_digest()
         _, manifest = self.produced(producer, shape)
         if manifest is None:
             what = f"'{slot}' of stage '{producer.step}'"
@@ -98,6 +100,21 @@ class Workspace:
                 f"{what} has not been made yet", f"run it first: ssmpipe run ... --from {producer.step}"
             )
         return manifest.outputs[slot].digest if slot in manifest.outputs else "absent"
+
+    def _chain_digest(self) -> str:
+        """Return the digest of the chain up to the correspondence, and of what its steps prepared."""
+        from ssmpipe.runner.chain import chain_content, chain_steps
+
+        prepared = {}
+        for step in chain_steps(self.plan):
+            for port in step.prepared:
+                if port.slot in step.files:
+                    prepared[f"{step.id}.{port.slot}"] = step.files[port.slot][0]
+                else:
+                    prepared[f"{step.id}.{port.slot}"] = self.slot_digest(
+                        Producer(step.id, "cohort", prepared=True), port.slot, None
+                    )
+        return digest(["chain", chain_content(self), prepared])
 
     def input_digests(self, step: PlannedStep, shape: str | None, ids: Sequence[str]) -> dict[str, str | None]:
         """Return the digest of every input of a task; a group stage's per-shape inputs count with their shape ids."""
@@ -182,7 +199,9 @@ def forecast(
         shape = None if key in ("", "*") else key
         waits = []
         for slot, producer in step.inputs.items():
-            if producer is None or producer.step == SCAN or (prepare and producer.prepared) or slot in step.files:
+            if producer is None or producer.step in (SCAN, CHAIN) or (prepare and producer.prepared):
+                continue
+            if slot in step.files:
                 continue
             if producer.prepared:
                 keys = [(step.id, "*")]

@@ -12,7 +12,7 @@ from ssmpipe.core.arrays import Floats
 from ssmpipe.core.correspondence.correspondence import Correspondence
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.model.pca import principal_components
-from ssmpipe.core.model.shape_model import ShapeModel
+from ssmpipe.core.model.shape_model import Chain, ShapeModel
 from ssmpipe.core.outline.outline import Outline
 
 
@@ -25,7 +25,14 @@ class Config(StageConfig):
     sigma: Annotated[float, Field(gt=0, description="Extent of the mode meshes [standard deviations].")] = 3.0
 
 
-def run(*, correspondence: Correspondence, info: dict[str, ShapeInfo], cfg: Config, ctx: Context) -> dict[str, Any]:
+def run(
+    *,
+    correspondence: Correspondence,
+    info: dict[str, ShapeInfo],
+    chain: Chain | None = None,
+    cfg: Config,
+    ctx: Context,
+) -> dict[str, Any]:
     """Principal components of the optimized points, sizes kept."""
     mean, modes, variances, scores = principal_components(correspondence.points)
     model = ShapeModel(
@@ -37,6 +44,8 @@ def run(*, correspondence: Correspondence, info: dict[str, ShapeInfo], cfg: Conf
         grid=correspondence.grid,
         faces=correspondence.faces,
         topology=correspondence.topology,
+        lambda_cut=correspondence.lambda_cut,
+        chain=chain,
     )
     ctx.metric("n_modes", len(variances))
     ctx.metric("total_variance_mm2", float(variances.sum() / len(mean)))
@@ -71,10 +80,14 @@ def _drawn(model: ShapeModel, points: Floats) -> TriMesh | Outline:
 STAGE = Stage(
     name="model",
     scope="cohort",
-    version=1,
+    version=2,
     config=Config,
     run=run,
-    inputs=(Port("correspondence", "correspondence"), Port("info", "info")),
+    inputs=(
+        Port("correspondence", "correspondence"),
+        Port("info", "info"),
+        Port("chain", "chain", optional=True),
+    ),
     outputs=(Port("model", "model"), Port("model_meshes", "meshes"), Port("scores", "table")),
     methods="The model is the principal component analysis of the corresponded points in the aligned frame, sizes kept.",
     cites=("li2015",),

@@ -48,3 +48,52 @@ def affine_to_mean(
         linear = np.linalg.inv(linear.mean(axis=0)) @ linear
     offset = centroids.mean(axis=0) - np.einsum("iab,ib->ia", linear, centroids)
     return linear, offset
+
+
+def affine_to_cohort(
+    shape: Floats, cohort: Floats, normalized: Floats, weights: Floats, *, ridge: float = 1e-3
+) -> tuple[Floats, Floats]:
+    """Return the linear map that normalizes one more shape as :func:`affine_to_mean` normalized a cohort, which stays as it is.
+
+    Parameters
+    ----------
+    shape : (n_P, d) float64
+    cohort, normalized : (n_S, n_P, d) float64
+        Before and after.
+    weights : (n_P,) float64
+        Sum 1.
+    ridge : float, default=1e-3
+
+    Returns
+    -------
+    linear : (d, d), offset : (d,) float64
+
+    Examples
+    --------
+    >>> shapes = np.random.default_rng(0).normal(size=(4, 1, 1)) * 0.1 + np.random.default_rng(1).normal(size=(4, 9, 2))
+    >>> weights = np.full(9, 1 / 9)
+    >>> linear, offset = affine_to_mean(shapes, weights, n_iterations=200)
+    >>> after = shapes @ np.swapaxes(linear, 1, 2) + offset[:, None]
+    >>> again, _ = affine_to_cohort(shapes[2], shapes, after, weights)
+    >>> bool(np.allclose(again, linear[2], atol=1e-6))
+    True
+    """
+    d = shape.shape[1]
+    centroid = np.einsum("l,ld->d", weights, normalized.mean(axis=0))
+    mean = normalized.mean(axis=0) - centroid
+    own = np.einsum("l,ild->id", weights, cohort)
+    towards = np.linalg.inv(
+        np.stack([_onto(s - c, mean, weights, ridge) for s, c in zip(cohort, own, strict=True)]).mean(axis=0)
+    )
+    middle = weights @ shape
+    linear = towards @ _onto(shape - middle, mean, weights, ridge)
+    return linear.reshape(d, d), centroid - linear @ middle
+
+
+def _onto(centred: Floats, mean: Floats, weights: Floats, ridge: float) -> Floats:
+    """Return the linear map of a centred shape to a centred mean."""
+    d = centred.shape[1]
+    covariance = np.einsum("l,la,lb->ab", weights, centred, centred)
+    pull = ridge * np.trace(covariance) / d * np.eye(d)
+    cross = np.einsum("l,la,lb->ab", weights, centred, mean)
+    return np.asarray(np.linalg.solve(covariance + pull, cross + pull).T)

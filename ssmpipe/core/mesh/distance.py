@@ -8,7 +8,7 @@ import igl
 import numpy as np
 
 from ssmpipe.core.arrays import Floats, Ints
-from ssmpipe.core.mesh.operators import face_areas
+from ssmpipe.core.mesh.operators import face_areas, face_normals
 from ssmpipe.core.mesh.trimesh import TriMesh
 
 
@@ -44,6 +44,27 @@ def point_to_mesh(points: Floats, mesh: TriMesh) -> tuple[Floats, Ints, Floats]:
         face,
         barycentric_coordinates(nearest, mesh.vertices[mesh.faces[face]]),
     )
+
+
+def signed_point_to_mesh(points: Floats, mesh: TriMesh) -> Floats:
+    """Return the distance of points to a mesh, positive on the side that the normal of the nearest face points to [mm].
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+    mesh : TriMesh
+        Open or closed; faces wound outward.
+
+    Examples
+    --------
+    >>> flat = TriMesh(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]), np.array([[0, 1, 2]]))
+    >>> signed_point_to_mesh(np.array([[0.25, 0.25, -2.0], [0.25, 0.25, 1.0]]), flat)
+    array([-2.,  1.])
+    """
+    distance, face, weights = point_to_mesh(points, mesh)
+    offset = points - interpolate(mesh.vertices, mesh, face, weights)
+    side = np.einsum("ij,ij->i", offset, face_normals(mesh)[face])
+    return np.where(side < 0, -distance, distance)
 
 
 def barycentric_coordinates(points: Floats, triangles: Floats) -> Floats:

@@ -2,11 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ssmpipe.core.arrays import Floats, Ints
+from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.core.outline.outline import Outline
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """How the shapes of a model were made from their scans: what it takes to bring a new scan into it.
+
+    Parameters
+    ----------
+    text : str
+        JSON: units, roles, seed, and every step with stage, version and all its options (see ``runner/chain.py``).
+    prepared : mapping of str to TriMesh or Outline
+        What the steps had in common, by ``<step>.<slot>``: ``align.reference`` [mm, aligned frame].
+    """
+
+    text: str
+    prepared: Mapping[str, TriMesh | Outline] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +47,10 @@ class ShapeModel:
     grid : tuple of int
     faces : (n_F, 3)
     topology : str
+    lambda_cut : float
+        Variance below which a mode counted as noise in the optimization [mm^2]; NaN where it is not known.
+    chain : Chain, optional
+        None for a model that was not built by a run, or by a version that did not keep it.
     """
 
     ids: tuple[str, ...]
@@ -38,6 +61,13 @@ class ShapeModel:
     grid: tuple[int, ...]
     faces: Ints
     topology: str
+    lambda_cut: float = float("nan")
+    chain: Chain | None = None
+
+    @property
+    def training_points(self) -> Floats:
+        """Points of the shapes that the model was built from, (n_S, n_P, d) [mm]; exact, since no mode was left out."""
+        return np.stack([self.instance(row) for row in self.scores])
 
     def instance(self, sigmas: Floats) -> Floats:
         """Return the (n_P, d) points at ``sigmas`` standard deviations along the leading modes."""

@@ -1,0 +1,108 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from ssmpipe.core.align.rigid import homogeneous, rotation_vector_matrix
+from ssmpipe.core.correspondence.newcomer import FixedCohort, NewcomerObjective, bring_in
+from ssmpipe.core.correspondence.optimize import EngineOptions, optimize_correspondence
+from ssmpipe.core.errors import GeometryError
+from ssmpipe.core.spline.evaluate import SplineStack
+from ssmpipe.core.spline.surface import BSplineSurface
+from tests.support.cohorts import line_bumps
+from tests.support.surfaces import bumps, taylor_rate
+
+OPTIONS = EngineOptions(n_coefficients=(6, 6), landmarks=(17, 17), barriers=(3.0,), max_iterations=60)
+
+
+@cache
+def finished():
+    splines = bumps(6)
+    return splines, optimize_correspondence(splines, OPTIONS).value
+
+
+def cohort(**changes):
+    _, optimum = finished()
+    options = replace(OPTIONS, lambda_cut=optimum.lambda_cut, **changes)
+    return FixedCohort(optimum.points, (17, 17), closes=False, options=options)
+
+
+@pytest.mark.parametrize("covariance", ["discrete", "I", "II"])
+@pytest.mark.parametrize("boundary", ["fixed", "sliding", "periodic"])
+def test_the_gradient_is_exact(covariance, boundary):
+    fixed = cohort(covariance=covariance, boundary=boundary, normalize="none")
+    f = NewcomerObjective(
+        bumps(1, seed=9)[0], fixed.space, fixed.fixed, fixed.weights, lambda_of(fixed), prior=0.3, barrier=0.7
+    )
+    rng = np.random.default_rng(0)
+    x = f.unknowns(fixed.space.identity()) + 0.01 * rng.normal(size=f.unknowns(fixed.space.identity()).size)
+    direction = rng.normal(size=x.size)
+    direction /= 10 * np.linalg.norm(direction)
+    assert taylor_rate(lambda y: f.value_and_gradient(y)[0], f.value_and_gradient(x)[1], x, direction) > 1.8
+
+
+def lambda_of(fixed):
+    from ssmpipe.core.correspondence.spectral import spectral_function
+
+    return spectral_function("description-length", float(fixed.options.lambda_cut))
+
+
+def rms(offsets):
+    return float(np.sqrt((offsets**2).sum(axis=-1).mean()))
+
+
+def test_a_shape_of_the_cohort_comes_back_nearly_as_it_was():
+    splines, optimum = finished()
+    fixed = cohort()
+    for k, spline in enumerate(splines):
+        found = bring_in(spline, fixed).value
+        assert found.certificate.verdict == "proved"
+        start, end = rms(found.initial_points - optimum.points[k]), rms(found.points - optimum.points[k])
+        if k == optimum.reference:
+            assert end < 0.1
+        else:
+            assert end < 0.25 * start, (k, start, end)
+
+
+def test_a_new_shape_is_put_into_correspondence():
+    fixed, stranger = cohort(), bumps(1, seed=9)[0]
+    found = bring_in(stranger, fixed).value
+    before, after = found.description_length
+    assert after < before - 0.5
+    peak = found.initial_points[:, 2].argmax(), found.points[:, 2].argmax()
+    where = fixed.points[:, :, 2].argmax(axis=1)
+    grid = lambda k: np.array(np.unravel_index(k, (17, 17)), dtype=float)  # noqa: E731
+    usual = np.mean([grid(k) for k in where], axis=0)
+    assert np.linalg.norm(grid(peak[1]) - usual) < np.linalg.norm(grid(peak[0]) - usual)
+    on_it = SplineStack([stranger]).evaluate(found.parameters[None]).points[0]
+    moved = on_it @ found.matrix[:3, :3].T + found.matrix[:3, 3]
+    np.testing.assert_allclose(moved, found.points, atol=1e-12)
+
+
+def test_the_pose_given_does_not_matter():
+    fixed, stranger = cohort(), bumps(1, seed=9)[0]
+    turn = homogeneous(rotation_vector_matrix(np.array([0.02, -0.03, 0.05])), np.array([1.0, -2.0, 0.5]))
+    moved = BSplineSurface(
+        stranger.degree, stranger.knots_u, stranger.knots_v, stranger.control_points @ turn[:3, :3].T + turn[:3, 3]
+    )
+    a, b = bring_in(stranger, fixed).value, bring_in(moved, fixed).value
+    assert rms(a.points - b.points) < 0.05
+    np.testing.assert_allclose(b.matrix @ turn, a.matrix, atol=0.1)
+
+
+def test_the_same_input_gives_the_same_bits():
+    a, b = (bring_in(bumps(1, seed=9)[0], cohort()).value for _ in range(2))
+    assert np.array_equal(a.points, b.points)
+
+
+def test_what_cannot_join_is_refused():
+    with pytest.raises(GeometryError, match="1 parameters in 2 dimensions cannot join"):
+        bring_in(line_bumps(1)[0], cohort())
+    _, optimum = finished()
+    with pytest.raises(GeometryError, match="threshold"):
+        FixedCohort(optimum.points, (17, 17), closes=False, options=OPTIONS)
+    with pytest.raises(GeometryError, match="of 1 shape cannot take"):
+        FixedCohort(optimum.points[:1], (17, 17), closes=False, options=OPTIONS)

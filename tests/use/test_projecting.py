@@ -1,0 +1,135 @@
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ssmpipe.io.arrays import read_npz, write_npz
+from ssmpipe.io.models import read_model
+from tests.support.eggs import model_of_eggs, ssmpipe, write_eggs
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return model_of_eggs(tmp_path_factory.mktemp("eggs"))
+
+
+@pytest.fixture(scope="module")
+def strangers(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_eggs(tmp_path_factory.mktemp("strangers"), range(20, 23))
+
+
+@pytest.fixture(scope="module")
+def projected(result: Path, strangers: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two strangers, a shape of the cohort, and a file that is none."""
+    scans = tmp_path_factory.mktemp("scans")
+    for path in (strangers / "egg20.csv", strangers / "egg21.csv", result.parents[1] / "eggs" / "egg3.csv"):
+        shutil.copy(path, scans)
+    (scans / "broken.csv").write_text("x,y\n1,2\n1,2\n")
+    out = tmp_path_factory.mktemp("projected")
+    code, text = ssmpipe("project", result, *sorted(scans.glob("*.csv")), "-o", out)
+    assert code == 3, text
+    assert "3 projected, 1 failed" in text
+    return out
+
+
+def rows(folder: Path) -> dict[str, dict[str, str]]:
+    lines = [line for line in (folder / "scores.csv").read_text().splitlines() if not line.startswith("#")]
+    return {row["id"]: row for row in csv.DictReader(lines)}
+
+
+def test_the_model_carries_its_chain(result: Path) -> None:
+    model = read_model(result / "cohort/model/model.npz")
+    assert model.chain is not None
+    content = json.loads(model.chain.text)
+    assert [step["id"] for step in content["steps"]] == ["contour", "align", "fit", "optimize"]
+    assert content["units"] == "none"
+    assert list(model.chain.prepared) == ["align.reference"]
+    assert str(result.parents[1]) not in model.chain.text, "no folder of the machine in it"
+    assert model.lambda_cut > 0
+
+
+def test_a_failure_is_isolated_and_named(projected: Path) -> None:
+    failures = json.loads((projected / "failures.json").read_text())
+    assert list(failures) == ["broken"]
+    assert failures["broken"]["stage"] == "contour"
+    assert failures["broken"]["file"] == "broken.csv"
+    assert set(rows(projected)) == {"egg20", "egg21", "egg3"}
+
+
+def test_a_training_shape_returns_nearly_its_scores(result: Path, projected: Path) -> None:
+    model = read_model(result / "cohort/model/model.npz")
+    known = model.scores[model.ids.index("egg3")]
+    found = np.array([float(rows(projected)["egg3"][f"mode_{m + 1:02d}"]) for m in range(len(known))])
+    off = np.sqrt((model.variances * (found - known) ** 2).sum() / model.variances.sum())
+    assert off < 0.03, "in mm, by the variation of the cohort; the last modes of the eggs are noise"
+    assert np.abs(found - known)[:2].max() < 0.05
+
+
+def test_another_scan_does_not_change_the_result(
+    result: Path, strangers: Path, projected: Path, tmp_path: Path
+) -> None:
+    code, text = ssmpipe("project", result, strangers / "egg20.csv", "-o", tmp_path / "alone")
+    assert code == 0, text
+    for name in ("projection.npz", "projection.json", "corresponded.csv", "reconstruction.csv"):
+        alone, together = (folder / "patients/egg20" / name for folder in (tmp_path / "alone", projected))
+        assert alone.read_bytes() == together.read_bytes(), name
+
+
+def test_numbers_and_files_agree(result: Path, projected: Path) -> None:
+    model = read_model(result / "cohort/model/model.npz")
+    row = rows(projected)["egg20"]
+    found = read_npz(projected / "patients/egg20/projection.npz")
+    scores = found["scores"]
+    assert float(row["mahalanobis"]) == pytest.approx(np.linalg.norm(scores))
+    np.testing.assert_allclose(found["reconstruction"], model.instance(scores), atol=1e-9)
+    np.testing.assert_allclose(
+        found["points_scan"] @ found["transform"][:2, :2].T + found["transform"][:2, 3], found["points"], atol=1e-9
+    )
+    assert row["certificate"] == "proved"
+    assert 0 < float(row["mode_01_sd"]) < 0.5
+    assert 0 < float(row["mahalanobis_p"]) <= 1
+    assert float(row["to_scan_mean_mm"]) <= float(row["to_scan_p95_mm"]) <= float(row["to_scan_max_mm"])
+
+
+def test_corresponded_points_lie_on_the_scan(strangers: Path, projected: Path) -> None:
+    from ssmpipe.core.outline.distance import point_to_segments
+    from ssmpipe.io.outlines import read_outline
+
+    scan = read_outline(strangers / "egg20.csv")
+    places = read_npz(projected / "patients/egg20/projection.npz")["points_scan"]
+    assert point_to_segments(places, scan.points, scan.edges)[0].max() < 0.2
+
+
+def test_what_cannot_be_projected_is_refused_before_any_work(result: Path, strangers: Path, tmp_path: Path) -> None:
+    code, text = ssmpipe("project", result, tmp_path / "none.csv", "-o", tmp_path / "out")
+    assert (code, "does not exist; try: check the path" in text) == (2, True)
+    (tmp_path / "a.ply").write_text("ply")
+    code, text = ssmpipe("project", result, tmp_path / "a.ply", "-o", tmp_path / "out")
+    assert code == 2
+    assert "the model was built from outline files, a.ply is of the kind mesh" in text
+    arrays = read_npz(result / "cohort/model/model.npz")
+    write_npz(tmp_path / "model.npz", {**arrays, "chain": np.array("")})
+    code, text = ssmpipe("project", tmp_path / "model.npz", strangers / "egg20.csv", "-o", tmp_path / "out")
+    assert code == 2
+    assert "model.npz does not carry the chain" in text
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_changed_stage_is_told(result: Path, strangers: Path, tmp_path: Path) -> None:
+    arrays = read_npz(result / "cohort/model/model.npz")
+    content = json.loads(str(arrays["chain"]))
+    content["steps"][1]["version"] = 0
+    write_npz(tmp_path / "model.npz", {**arrays, "chain": np.array(json.dumps(content))})
+    code, text = ssmpipe("project", tmp_path / "model.npz", strangers / "egg22.csv", "-o", tmp_path / "out")
+    assert code == 0, text
+    assert "stage 'align' is version" in text
+    content["steps"][1]["options"]["nonsense"] = 1
+    write_npz(tmp_path / "model.npz", {**arrays, "chain": np.array(json.dumps(content))})
+    code, text = ssmpipe("project", tmp_path / "model.npz", strangers / "egg22.csv", "-o", tmp_path / "out")
+    assert code == 2
+    assert "does not accept its options any more" in text
