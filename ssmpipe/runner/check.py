@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from ssmpipe.core.errors import SsmpipeError
 from ssmpipe.runner.batch import one_thread_environment, start_child
 from ssmpipe.runner.config import Project
+from ssmpipe.runner.estimate import estimate_plan
 from ssmpipe.runner.execute import rehearse
 from ssmpipe.runner.plan import PlannedStep
 from ssmpipe.runner.presets import PRESETS
@@ -216,7 +217,7 @@ def check_project(project: Project, jobs: int | None = None) -> list[ScanCheck]:
 
 
 def print_checks(checks: Sequence[ScanCheck], project: Project, console: Console) -> None:
-    """Print a table of the scans, then warnings and errors, one line each."""
+    """Print a table of the scans, then warnings and errors, one line each, and what the group stages will cost."""
     from rich.table import Table as RichTable
 
     unit = "file units" if project.config.input.units == "none" else "mm"
@@ -246,3 +247,8 @@ def print_checks(checks: Sequence[ScanCheck], project: Project, console: Console
             console.error(f"refused: {c.id}, {c.file}: {c.error}")
     n_bad = sum(bool(c.error) for c in checks)
     console.say(f"config is valid; {len(checks) - n_bad} of {len(checks)} scans can be used")
+    cost = (
+        estimate_plan(project.plan, len(checks) - n_bad) if len(checks) - n_bad >= project.config.min_shapes else None
+    )
+    if cost is not None:
+        console.say(cost.text)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import os
 import re
 import types
 from collections.abc import Iterable, Mapping, Sequence
@@ -679,7 +680,7 @@ def _sources(
         if section.scans is not None:
             files = by_id(list(paths))
         elif tables["cohort"] and section.cohort:
-            files = _cohort_files(tables["cohort"], base / section.cohort)
+            files = _cohort_files(tables["cohort"], base / section.cohort, base)
         else:
             files = {}
         if not files and complete and len(problems) == found:
@@ -714,15 +715,23 @@ def _sources(
     return sources, warnings
 
 
-def _cohort_files(cohort: Mapping[str, Mapping[str, str]], path: Path) -> dict[str, Path]:
+def _cohort_files(cohort: Mapping[str, Mapping[str, str]], path: Path, base: Path) -> dict[str, Path]:
+    """Return the scans that a cohort table names; a table may come from elsewhere, so it may not lead out of the folders."""
     files: dict[str, Path] = {}
     missing = []
+    roots = [Path(os.path.abspath(folder)) for folder in (path.parent, base)]
     for shape_id, row in cohort.items():
         if not row.get("path"):
             continue
         if not ID.fullmatch(shape_id):
             raise ConfigError(f"'{shape_id}' cannot serve as shape id", "use up to 64 letters, digits, '.', '_' or '-'")
         files[shape_id] = path.parent / row["path"]
+        place = Path(os.path.abspath(files[shape_id]))
+        if "\0" in row["path"] or not any(place.is_relative_to(root) for root in roots):
+            raise ConfigError(
+                f"cohort table, shape '{shape_id}': path '{row['path']}' leads out of the folders of table and config",
+                "keep the table above the scans, or name the folder of the scans as input.scans",
+            )
         if not files[shape_id].is_file():
             missing.append(f"{files[shape_id]} (shape '{shape_id}')")
     if missing:

@@ -30,9 +30,9 @@ from ssmpipe.core.errors import SsmpipeError
 from ssmpipe.io.codecs import load_artifact, save_artifact, to_plain
 from ssmpipe.io.meshes import read_mesh
 from ssmpipe.io.outlines import read_outline
+from ssmpipe.runner.chain import read_chain
 from ssmpipe.runner.checkpoint import CheckpointFile, Found
 from ssmpipe.runner.disk import disk_errors, flush
-from ssmpipe.runner.chain import read_chain
 from ssmpipe.runner.fingerprint import VOLATILE, file_digest
 from ssmpipe.runner.manifest import FILE, Manifest, Output
 from ssmpipe.runner.plan import CHAIN, SCAN, PlannedStep, Producer

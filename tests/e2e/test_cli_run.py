@@ -227,6 +227,7 @@ def test_check_table(call: Call, scans: Path, tmp_path: Path, write_config: Call
     assert "refused: c, c.ply:" in result.output
     assert "refused: d, d.ply: landmark 'tip' is 50.0 mm away from the surface" in result.output
     assert "2 of 4 scans can be used" in result.output
+    assert "group stages" not in result.output, "the toys have no optimize"
     for name in "cd":
         (scans / f"{name}.ply").unlink()
     assert call("check", config).exit_code == 0

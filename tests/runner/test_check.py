@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.io.meshes import write_mesh
-from ssmpipe.runner.check import check_project, inspect
+from ssmpipe.runner.check import ScanCheck, check_project, inspect, print_checks
 from ssmpipe.runner.config import Project
+from ssmpipe.runner.console import Console
 from ssmpipe.runner.run import RunOptions, RunResult
 from tests.support.toys import tetrahedron
 
@@ -63,3 +66,16 @@ def test_a_role_without_its_landmark(tmp_path: Path, project: Load) -> None:
     assert "head" not in found["a"]
     assert "parameterize: landmark 'head' (role 'corner_2') is missing" in found["c"]
     assert "parameterize: landmark 'head' (role 'corner_2') is missing" in found["d"]  # no landmarks at all
+
+
+def test_the_cost_of_the_group_stages_is_said_where_there_is_an_optimize(
+    project: Load, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one = project(anatomy="disk", stages=[{"optimize": {"landmarks": [21, 31], "n_coefficients": [5, 6]}}])
+    fine = [ScanCheck(i, f"{i}.ply") for i in "abcd"]
+    print_checks(fine, one, Console())
+    text = " ".join(capsys.readouterr().out.split())
+    assert "group stages, 4 shapes x 651 landmarks x 30 coefficients: about" in text
+    assert "of memory" in text
+    print_checks([replace(c, error="bad") for c in fine[:2]] + fine[2:], one, Console())
+    assert "group stages" not in capsys.readouterr().out, "too few shapes are left"

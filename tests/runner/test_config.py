@@ -248,9 +248,24 @@ def test_scans_from_the_cohort_table(tmp_path: Path, scans: Path, registry: Regi
         "one": "a.ply",
         "two": "b.ply",
     }
-    (tmp_path / "cohort.csv").write_text("id,path\n../x,scans/a.ply\n")
-    with pytest.raises(ConfigErrors, match="cannot serve as shape id"):
-        load_project(path, (), registry)
+    for shape_id in ("../x", "..", "/x", ".x", "a b", "x" * 65, "</script>", "con/..", "a\\b"):
+        (tmp_path / "cohort.csv").write_text(f"id,path\n{shape_id},scans/a.ply\n")
+        with pytest.raises(ConfigErrors, match="cannot serve as shape id"):
+            load_project(path, (), registry)
+
+
+@pytest.mark.parametrize("place", ["../{0}", "/etc/passwd", "scans/../../{0}", "{1}", "scans/a.ply\0.ply"])
+def test_a_cohort_table_does_not_lead_out_of_its_folder(
+    place: str, tmp_path: Path, scans: Path, registry: Registry
+) -> None:
+    write_mesh(tmp_path.parent / "other.ply", tetrahedron())
+    place = place.format("other.ply", tmp_path.parent / "other.ply")
+    (tmp_path / "cohort.csv").write_text(f"id,path\none,{place}\n")
+    (tmp_path / "c.yaml").write_text(GOOD.replace("scans: scans", "cohort: cohort.csv"))
+    with pytest.raises(ConfigErrors, match="leads out of the folders of table and config"):
+        load_project(tmp_path / "c.yaml", (), registry)
+    (tmp_path / "cohort.csv").write_text("id,path\none,scans/../scans/a.ply\n")
+    assert "one" in load_project(tmp_path / "c.yaml", (), registry).sources
 
 
 def test_input_problems(tmp_path: Path, scans: Path, problems: Callable[..., list[str]]) -> None:
