@@ -107,7 +107,7 @@ def _load(text: str, name: str) -> Any:
         line = mark.line + 1 if mark else 1
         problem = (error.problem or error.context or "not valid YAML").strip().splitlines()[0]
         raise ConfigError(f"{name}:{line}: {problem}") from None
-    except (YAMLError, RecursionError, ValueError) as error:
+    except (YAMLError, RecursionError, ValueError, TypeError, LookupError, AttributeError, AssertionError) as error:
         raise ConfigError(
             f"{name}: not valid YAML: {str(error).splitlines()[0] if str(error) else 'unreadable'}"
         ) from None

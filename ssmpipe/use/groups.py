@@ -105,7 +105,7 @@ def load_cohort(result: Path, other: Path | None, options: GroupOptions) -> Coho
     """
     model = load_model(result)
     columns = _columns(model)
-    points = _points(model.shape_model)
+    points = shape_points(model.shape_model)
     matching = None
     if other is None:
         by = options.by or "group"
@@ -117,7 +117,7 @@ def load_cohort(result: Path, other: Path | None, options: GroupOptions) -> Coho
         second = load_model(other)
         by = "result"
         names = _result_names(result, other, options.groups)
-        matching = match_results(model.shape_model, points, second.shape_model, _points(second.shape_model))
+        matching = match_results(model.shape_model, points, second.shape_model, shape_points(second.shape_model))
         points = matching.points
         values = [names[0]] * len(model.ids) + [names[1]] * len(second.ids)
         twice = set(model.ids) & set(second.ids)
@@ -174,7 +174,7 @@ def _unit(model: Model) -> str:
     return "file units" if found == "none" else "mm"
 
 
-def _points(model: ShapeModel) -> Floats:
+def shape_points(model: ShapeModel) -> Floats:
     """Return the points of the shapes of a model, (n_S, n_P, d); the copies of a pole agree to the bit."""
     points = model.mean + np.tensordot(model.scores * np.sqrt(model.variances), model.modes, axes=1)
     if model.topology in ("cone", "closed"):

@@ -299,6 +299,7 @@ def _text_cases() -> list[tuple[str, str, Callable[[], bytes] | bytes | str, str
         ("yaml of 10 MB", "a.yaml", _repeated("a: ", "x"), "config", "larger than"),
         ("yaml key twice", "a.yaml", "a: 1\na: 2\n", "config", "a.yaml:2"),
         ("yaml number of 5000 digits", "a.yaml", "seed: " + "9" * 5000 + "\n", "config", "not valid YAML"),
+        ("yaml key that is a list", "a.yaml", ": ? -  - -\n", "config", "not valid YAML"),
         ("yaml list", "a.yaml", "- a\n", "config", "must be a mapping"),
         ("yaml garbage", "a.yaml", GARBAGE, "config", "not UTF-8|cannot read"),
         ("yaml NUL", "a.yaml", b"a: \0\n", "config", "a.yaml"),

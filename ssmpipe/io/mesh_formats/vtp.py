@@ -310,7 +310,12 @@ class _Base64:
         return content
 
 
-def dump(vertices: Floats, cells: Ints, point_data: Mapping[str, Floats] | None = None) -> bytes:
+def dump(
+    vertices: Floats,
+    cells: Ints,
+    point_data: Mapping[str, Floats] | None = None,
+    field_data: Mapping[str, Floats] | None = None,
+) -> bytes:
     """Write polygons of equal size and values per vertex; the same surface gives the same bytes.
 
     Parameters
@@ -319,22 +324,26 @@ def dump(vertices: Floats, cells: Ints, point_data: Mapping[str, Floats] | None 
     cells : (n_cells, k) int64
         Triangles or quadrilaterals.
     point_data : mapping of str to (n,) or (n, k) float64, optional
+    field_data : mapping of str to (m,) or (m, k) float64, optional
+        Of the whole surface.
     """
 
-    def array(name: str, values: Floats | Ints) -> str:
+    def array(name: str, values: Floats | Ints, extra: str = "") -> str:
         little = values.astype("<f8" if values.dtype.kind == "f" else "<i8")
         content = little.tobytes()
         packed = binascii.b2a_base64(len(content).to_bytes(8, "little") + content, newline=False).decode()
         kind = "Float64" if values.dtype.kind == "f" else "Int64"
         width = values.shape[1] if values.ndim == 2 else 1
-        head = f'<DataArray type="{kind}" Name={quoteattr(name)} NumberOfComponents="{width}" format="binary">'
+        head = f'<DataArray type="{kind}" Name={quoteattr(name)} NumberOfComponents="{width}"{extra} format="binary">'
         return f"{head}{packed}</DataArray>\n"
 
     data = "".join(array(name, values) for name, values in (point_data or {}).items())
+    whole = "".join(array(k, v, extra=f' NumberOfTuples="{len(v)}"') for k, v in (field_data or {}).items())
+    whole = f"<FieldData>\n{whole}</FieldData>\n" if whole else ""
     ends = cells.shape[1] * np.arange(1, len(cells) + 1)
     text = (
         '<?xml version="1.0"?>\n<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" header_type="UInt64">\n'
-        f'<PolyData>\n<Piece NumberOfPoints="{len(vertices)}" NumberOfVerts="0" NumberOfLines="0" NumberOfStrips="0" '
+        f'<PolyData>\n{whole}<Piece NumberOfPoints="{len(vertices)}" NumberOfVerts="0" NumberOfLines="0" NumberOfStrips="0" '
         f'NumberOfPolys="{len(cells)}">\n<PointData>\n{data}</PointData>\n<Points>\n{array("Points", vertices)}</Points>\n'
         f"<Polys>\n{array('connectivity', cells.ravel())}{array('offsets', ends)}</Polys>\n</Piece>\n</PolyData>\n</VTKFile>\n"
     )
