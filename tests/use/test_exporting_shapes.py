@@ -161,6 +161,7 @@ def test_gias_layout(tmp_path: Path) -> None:
     export(write_model(model, tmp_path / "out"), tmp_path / "m.pc.npz")
     with np.load(tmp_path / "m.pc.npz", allow_pickle=False) as file:
         assert set(file.files) == {"mean", "weights", "modes", "SD", "sizes", "projectedWeights"}
+        assert file["SD"].shape == ()
         rebuilt = file["mean"][:, None] + file["modes"] @ file["projectedWeights"]
         np.testing.assert_allclose(file["modes"].T @ file["modes"], np.eye(len(model.variances)), atol=1e-10)
         np.testing.assert_array_equal(file["weights"], model.variances)
