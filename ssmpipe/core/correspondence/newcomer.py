@@ -12,7 +12,7 @@ from ssmpipe.core.align.procrustes import generalized_procrustes, rotation_betwe
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.correspondence.barrier import Barrier
 from ssmpipe.core.correspondence.certificate import Certificate, certify
-from ssmpipe.core.correspondence.covariance import Spectrum, centre, spectrum
+from ssmpipe.core.correspondence.covariance import Spectrum, centred_spectrum
 from ssmpipe.core.correspondence.gauss_newton import gauss_newton_inverse
 from ssmpipe.core.correspondence.jacobian import Jacobian, JacobianForm, largest_feasible_step
 from ssmpipe.core.correspondence.measure import grid_size_weights
@@ -118,8 +118,7 @@ class NewcomerObjective:
         key = x.tobytes()
         if self._last is None or self._last[0] != key:
             jet = self.stack.evaluate(self.space.evaluate(self.coefficients(x)[None]))
-            centred = centre(np.concatenate([self.fixed, jet.points]))
-            self._last = (key, jet, centred, spectrum(centred, self.weights))
+            self._last = (key, jet, *centred_spectrum(np.concatenate([self.fixed, jet.points]), self.weights))
         return self._last[1:]
 
     def spectral_value(self, x: Floats) -> float:
@@ -131,11 +130,15 @@ class NewcomerObjective:
         out[self._free] = vector
         return out
 
+    def value(self, x: Floats) -> float:
+        """Return ``f`` alone."""
+        return self.value_and_gradient(x)[0]
+
     def value_and_gradient(self, x: Floats) -> tuple[float, Floats]:
         """Return ``f`` and its gradient; infinite outside the feasible set."""
         coefficients = self.coefficients(x)
-        jacobians = self.jacobian.coefficients(coefficients[None])
-        penalty = self.constraint.value(jacobians) if self.barrier > 0 else 0.0
+        local = self.jacobian.at(coefficients[None])
+        penalty = self.constraint.value(local.values) if self.barrier > 0 else 0.0
         if not np.isfinite(penalty):
             return np.inf, np.zeros_like(x)
         jet, centred, spec = self._evaluate(x)
@@ -148,7 +151,7 @@ class NewcomerObjective:
         value = spec.value(self.spectral)
         if self.barrier > 0:
             value += self.barrier * penalty
-            gradient += self.barrier * self.jacobian.pull_back(coefficients[None], self.constraint.slope(jacobians))[0]
+            gradient += self.barrier * local.pull_back(self.constraint.slope(local.values))[0]
         if self.prior > 0:
             displacement = coefficients - self._identity
             bent = (self._bending @ displacement.reshape(len(self._bending), -1)).reshape(displacement.shape)
@@ -158,10 +161,9 @@ class NewcomerObjective:
 
     def largest_step(self, x: Floats, direction: Floats) -> float:
         """Return how far ``direction`` can be followed before a coefficient of the Jacobian meets the floor; exact."""
-        coefficients = self.coefficients(x)[None]
-        current = self.jacobian.coefficients(coefficients)
-        first, second = self.jacobian.along(coefficients, self._direction(direction)[None], current)
-        return largest_feasible_step(current - self.constraint.floor, first, second)
+        local = self.jacobian.at(self.coefficients(x)[None])
+        first, second = local.along(self._direction(direction)[None])
+        return largest_feasible_step(local.values - self.constraint.floor, first, second)
 
     def step_taken(self, x: Floats, direction: Floats) -> None:
         """Hear of an accepted step; nothing follows from it."""
@@ -171,14 +173,15 @@ class NewcomerObjective:
         coefficients = self.coefficients(x)[None]
         jet, centred, spec = self._evaluate(x)
         n_d = self.space.n_directions
-        block = np.asarray(self.prior * np.kron(self._bending, np.eye(n_d))[None], dtype=np.float64)
+        free = np.flatnonzero(self._free.ravel())
+        bending = np.kron(self._bending, np.eye(n_d))[free[:, None], free]
+        own = np.asarray(self.prior * bending[None], dtype=np.float64)
         if self.barrier > 0:
             jacobians = self.jacobian.coefficients(coefficients)
             multipliers = self.barrier * self.constraint.multipliers(jacobians)
-            block = block + self.jacobian.normal_blocks(coefficients, self.constraint.curvature(jacobians, multipliers))
-        free = np.flatnonzero(self._free.ravel())
+            own = own + self.jacobian.normal_blocks(coefficients, self.constraint.curvature(jacobians, multipliers))
         coupling = spec.slope(self.spectral)[-1:, -1:] * (2.0 / (len(centred) - 1))
-        return gauss_newton_inverse(self.space, coupling, self.weights, jet.first, block[:, free[:, None], free])
+        return gauss_newton_inverse(self.space, coupling, self.weights, jet.first, own)
 
 
 class FixedCohort:
