@@ -92,3 +92,13 @@ def apply_directions(matrices: tuple[Floats, ...], field: Floats, out: Floats | 
     if len(matrices) == 1:
         return np.matmul(field, matrices[0].T, out=out)
     return np.matmul(matrices[0] @ field, matrices[1].T, out=out)
+
+
+def components_first(field: Floats) -> Floats:
+    """Return (n, *grid, d) as a view (n, d, *grid)."""
+    return field.transpose(0, field.ndim - 1, *range(1, field.ndim - 1))
+
+
+def components_last(field: Floats) -> Floats:
+    """Return (n, d, *grid) as a view (n, *grid, d)."""
+    return field.transpose(0, *range(2, field.ndim), 1)

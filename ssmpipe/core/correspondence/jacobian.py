@@ -17,7 +17,7 @@ import scipy.sparse
 from scipy.special import comb
 
 from ssmpipe.core.arrays import Floats
-from ssmpipe.core.correspondence.direction import Direction, apply_directions
+from ssmpipe.core.correspondence.direction import Direction, apply_directions, components_first
 from ssmpipe.core.correspondence.reparameterization import Reparameterization, numbered
 from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.spline.basis import design_matrix
@@ -130,7 +130,7 @@ class Jacobian:
 
     def _gradients(self, displacement: Floats) -> list[Floats]:
         """Return dD/du_k at the nodes, (n_S, d_par, *nodes) each, without the identity."""
-        moved = np.moveaxis(displacement, -1, 1)
+        moved = components_first(displacement)
         return [apply_directions(self._mixed[axis], moved) for axis in range(self.n_directions)]
 
     def coefficients(self, coefficients: Floats) -> Floats:

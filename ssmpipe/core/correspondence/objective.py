@@ -483,7 +483,7 @@ class GroupObjective:
         root = np.sqrt(evaluation.weights * (2.0 / (n_shapes - 1)))
 
         def packed(field: Floats) -> Floats:
-            return np.ascontiguousarray(np.moveaxis(field, 2, 1)) * root
+            return np.ascontiguousarray(np.swapaxes(field, 1, 2)) * root
 
         first, second = self._posed(evaluation, jet.first), self._posed(evaluation, jet.second)
         centred = packed(evaluation.centred).reshape(n_shapes, -1)
@@ -492,7 +492,7 @@ class GroupObjective:
         within = np.ascontiguousarray(d_gram[np.ix_(moving, moving)])
         differences = self.spectral.slope_differences(spec.eigenvalues)
         pulled = (d_gram[moving] @ centred).reshape(len(moving), d, n_p)
-        bends = [(np.moveaxis(s[moving], 2, 1) * root * pulled).sum(axis=1) for s in second]
+        bends = [(np.swapaxes(s[moving], 1, 2) * root * pulled).sum(axis=1) for s in second]
         local, jacobians = self._jacobian_at(x), self.jacobians(x)
         multipliers = self._multipliers_at(jacobians)
         wall = self.constraint.slope(jacobians, multipliers) if self.barrier > 0 else jacobians

@@ -16,7 +16,7 @@ from ssmpipe.core.arrays import Floats
 from ssmpipe.core.checkpoints import Checkpoints
 from ssmpipe.core.correspondence.barrier import Aggregate, Barrier
 from ssmpipe.core.correspondence.certificate import Certificate, certify
-from ssmpipe.core.correspondence.direction import apply_directions
+from ssmpipe.core.correspondence.direction import apply_directions, components_first, components_last
 from ssmpipe.core.correspondence.exact_rule import ExactRule
 from ssmpipe.core.correspondence.gauss_newton import FACTORED_UNKNOWNS
 from ssmpipe.core.correspondence.guides import Guides
@@ -608,8 +608,8 @@ def _levels(space: Reparameterization) -> list[tuple[int, ...]]:
 def _refined(coefficients: Floats, coarse: Reparameterization, fine: Reparameterization) -> Floats:
     """Return the same maps in the finer space, by knot insertion."""
     matrices = tuple(c.refinement(f) for c, f in zip(coarse.directions, fine.directions, strict=True))
-    displacement = np.moveaxis(coefficients - coarse.identity(), -1, 1)
-    return fine.identity() + np.moveaxis(apply_directions(matrices, displacement), 1, -1)
+    displacement = components_first(coefficients - coarse.identity())
+    return fine.identity() + components_last(apply_directions(matrices, displacement))
 
 
 def _apply(alignment: Alignment, points: Floats) -> Floats:

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from ssmpipe.core.arrays import Bools, Floats, Ints
-from ssmpipe.core.correspondence.direction import Direction, apply_directions
+from ssmpipe.core.correspondence.direction import Direction, apply_directions, components_first, components_last
 from ssmpipe.core.errors import GeometryError
 
 Boundary = Literal["fixed", "sliding", "periodic"]
@@ -93,7 +93,7 @@ class Reparameterization:
         return self._identity.copy()
 
     def _displacement(self, coefficients: Floats) -> Floats:
-        return np.moveaxis(coefficients - self._identity, -1, 1)
+        return components_first(coefficients - self._identity)
 
     def evaluate(self, coefficients: Floats, out: Floats | None = None) -> Floats:
         """Return ``D_i(u_l)``: (n_S, *n_coefficients, d_par) coefficients to (n_S, n_P, d_par) parameters.
@@ -108,7 +108,7 @@ class Reparameterization:
         for axis, periodic in enumerate(self.periodic):
             if not periodic:
                 np.clip(values[:, axis], 0.0, 1.0, out=values[:, axis])
-        return np.moveaxis(values.reshape(n, self.n_directions, -1), 1, -1)
+        return components_last(values.reshape(n, self.n_directions, -1))
 
     def slopes(self, coefficients: Floats) -> tuple[Floats, ...]:
         """Return ``dD_i/du_k`` at the nodes, one (n_S, n_P, d_par) array per direction k."""
@@ -117,7 +117,7 @@ class Reparameterization:
         for axis in range(self.n_directions):
             values = apply_directions(self._mixed(axis), displacement)
             values[:, axis] += 1.0
-            out.append(np.moveaxis(values, 1, -1).reshape(len(coefficients), -1, self.n_directions))
+            out.append(components_last(values).reshape(len(coefficients), -1, self.n_directions))
         return tuple(out)
 
     def _mixed(self, axis: int) -> tuple[Floats, ...]:
@@ -139,21 +139,21 @@ class Reparameterization:
         total = self._transposed(self._basis, gradient)
         for axis, one in enumerate(slope_gradients):
             total = total + self._transposed(self._mixed(axis), one)
-        return np.moveaxis(total, 1, -1)
+        return components_last(total)
 
     def _transposed(self, matrices: tuple[Floats, ...], gradient: Floats) -> Floats:
-        field = np.moveaxis(gradient.reshape(len(gradient), *self.grid, self.n_directions), -1, 1)
+        field = components_first(gradient.reshape(len(gradient), *self.grid, self.n_directions))
         return apply_directions(tuple(m.T for m in matrices), field)
 
     def displacements(self, direction: Floats) -> Floats:
         """Return the derivative of :meth:`evaluate` along (n_S, *n_coefficients, d_par): (n_S, d_par, n_P), without clipping."""
-        values = apply_directions(self._basis, np.moveaxis(direction, -1, 1))
+        values = apply_directions(self._basis, components_first(direction))
         return np.asarray(values.reshape(len(direction), self.n_directions, -1))
 
     def displacements_transposed(self, gradient: Floats) -> Floats:
         """Return the transpose of :meth:`displacements`: (n_S, d_par, n_P) to (n_S, *n_coefficients, d_par)."""
         field = gradient.reshape(len(gradient), self.n_directions, *self.grid)
-        return np.moveaxis(apply_directions(tuple(b.T for b in self._basis), field), 1, -1)
+        return components_last(apply_directions(tuple(b.T for b in self._basis), field))
 
     def normal_blocks(self, metric: Floats) -> Floats:
         """Return ``Basis^T M Basis`` of many shapes, or pairs of shapes: the Gauss-Newton blocks in the free coefficients.
