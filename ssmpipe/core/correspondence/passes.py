@@ -122,6 +122,12 @@ def _centre(points: Floats, root: Floats, centred: Floats, start: int, stop: int
 
 def _contract(forces: Floats, weights: Floats, tangent: Floats, out: Floats, c: int, start: int, stop: int) -> None:
     n, _, d = forces.shape
+    if d == 3:  # the same sums, twice as fast
+        for i in range(n):
+            for j in range(start, stop):
+                f, t = forces[i, j - start], tangent[i, j]
+                out[i, c, j] = (f[0] * t[0] + f[1] * t[1] + f[2] * t[2]) * weights[j]
+        return
     for i in range(n):
         for j in range(start, stop):
             total = forces[i, j - start, 0] * tangent[i, j, 0]
