@@ -116,6 +116,26 @@ def test_patients_on_workers_are_guarded_and_a_killed_worker_changes_nothing(
     assert data(there) == data(here)
 
 
+def test_an_encrypted_cluster(tmp_path: Path, write_config: Callable[..., Path]) -> None:
+    security = distributed.Security.temporary()
+    for name, text in (("ca", "ca_file"), ("cert", "client_cert"), ("key", "client_key")):
+        (tmp_path / f"{name}.pem").write_text(getattr(security, f"tls_{text}"))
+    tls = {"ca_file": "ca.pem", "cert": "cert.pem", "key": "key.pem"}
+    cluster = distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, host="127.0.0.1", protocol="tls://", security=security, dashboard_address=None,
+        memory_limit=0, local_directory=str(tmp_path / "dask"), silence_logs=60,
+    )  # fmt: skip
+    try:
+        address = cluster.scheduler_address
+        assert address.startswith("tls://")
+        config = write_config(stages=["grow", "shift", "total"], executor="dask", scheduler=address, tls=tls)
+        assert "4 shapes ok" in run(config).stdout
+        config = write_config(stages=["grow"], executor="dask", scheduler=address)
+        assert "needs certificates" in run(config, expected=2).stderr
+    finally:
+        cluster.close()
+
+
 def test_a_scheduler_that_is_not_there_is_named(write_config: Callable[..., Path]) -> None:
     config = write_config(stages=["grow"])
     from ssmpipe.runner import cluster
