@@ -1,7 +1,7 @@
 """Sums over the landmarks of all shapes, in blocks of landmark rows that any process can take over.
 
 The Gram matrix of the landmarks and the derivative in the coefficients are sums over landmarks. A block of rows of the landmark grid
-contributes to both from the coefficients alone, given the splines: only coefficients, one (n_S, n_S) matrix and the product that
+contributes to both from the coefficients alone, given the splines: only free coefficients, one (n_S, n_S) matrix and the product that
 it is differentiated with have to travel, not landmarks. Number and order of the blocks are fixed, so the sums have the same bits
 wherever the blocks are evaluated.
 """
@@ -56,6 +56,7 @@ class LandmarkRows:
     """
 
     def __init__(self, stack: SplineStack, space: Reparameterization, weights: Floats) -> None:
+        self.free = space.free
         self._stack = copy.copy(stack)  # work memory of its own
         self._space = space
         self._weights = weights
@@ -147,7 +148,7 @@ class RowSums:
             return _total([block.gram(coefficients) for block in self._here()])
         n = len(coefficients)
         lower = np.tril_indices(n)
-        packed = self._there(self._engine, grams, (coefficients,))
+        packed = self._there(self._engine, grams, (coefficients[:, self._space.free],))
         out = np.zeros((n, n))
         for one in packed:
             out[lower] += one
@@ -155,10 +156,13 @@ class RowSums:
         return out
 
     def pull_back(self, coefficients: Floats, slope_product: SlopeProduct) -> Floats:
-        """Return the derivative in the coefficients of a function of the Gram matrix; see :meth:`Spectrum.slope_product`."""
+        """Return the derivative in the free coefficients of a function of the Gram matrix; see :meth:`Spectrum.slope_product`."""
         if self._engine is None:
             return _total([block.pull_back(coefficients, slope_product) for block in self._here()])
-        return _total(self._there(self._engine, pull_backs, (coefficients, slope_product)))
+        out = np.zeros_like(coefficients)
+        free = self._space.free
+        out[:, free] = _total(self._there(self._engine, pull_backs, (coefficients[:, free], slope_product)))
+        return out
 
     def _here(self) -> list[LandmarkRows]:
         if self._blocks is None:
@@ -174,17 +178,17 @@ class RowSums:
         return [one for answer in answers for one in answer]
 
 
-def grams(content: Content, rows: tuple[Rows, ...], coefficients: Floats) -> list[Floats]:
-    """Return the lower triangles of the shares of some blocks; called in a process of an engine."""
-    lower = np.tril_indices(len(coefficients))
-    return [block.gram(coefficients)[lower] for block in _blocks(content, rows)]
+def grams(content: Content, rows: tuple[Rows, ...], unknowns: Floats) -> list[Floats]:
+    """Return the lower triangles of the shares of some blocks, for (n_S, n_free) unknowns; called in a process of an engine."""
+    lower = np.tril_indices(len(unknowns))
+    coefficients, blocks = _found(content, rows, unknowns)
+    return [block.gram(coefficients)[lower] for block in blocks]
 
 
-def pull_backs(
-    content: Content, rows: tuple[Rows, ...], coefficients: Floats, slope_product: SlopeProduct
-) -> list[Floats]:
-    """Return the shares of some blocks in the derivative; called in a process of an engine."""
-    return [block.pull_back(coefficients, slope_product) for block in _blocks(content, rows)]
+def pull_backs(content: Content, rows: tuple[Rows, ...], unknowns: Floats, slope_product: SlopeProduct) -> list[Floats]:
+    """Return the (n_S, n_free) shares of some blocks in the derivative; called in a process of an engine."""
+    coefficients, blocks = _found(content, rows, unknowns)
+    return [block.pull_back(coefficients, slope_product)[:, block.free] for block in blocks]
 
 
 def _total(parts: list[Floats]) -> Floats:
@@ -218,8 +222,8 @@ class _Known:
 _KNOWN: OrderedDict[str, _Known] = OrderedDict()
 
 
-def _blocks(content: Content, rows: tuple[Rows, ...]) -> list[LandmarkRows]:
-    """Return blocks from the memory of this process, made from the content on a miss."""
+def _found(content: Content, rows: tuple[Rows, ...], unknowns: Floats) -> tuple[Floats, list[LandmarkRows]]:
+    """Return the coefficients, and blocks from the memory of this process, made from the content on a miss."""
     known = _KNOWN.get(content.key)
     if known is None or known.key != content.key:
         known = _KNOWN[content.key] = _Known(content)
@@ -229,7 +233,9 @@ def _blocks(content: Content, rows: tuple[Rows, ...]) -> list[LandmarkRows]:
     for one in rows:
         if one not in known.blocks:
             known.blocks[one] = _block(known.stack, known.space, known.weights, one)
-    return [known.blocks[one] for one in rows]
+    coefficients = np.repeat(known.space.identity()[None], len(unknowns), axis=0)
+    coefficients[:, known.space.free] = unknowns
+    return coefficients, [known.blocks[one] for one in rows]
 
 
 def _described(splines: Sequence[Spline], stack: SplineStack, space: Reparameterization, weights: Floats) -> Arrays:
