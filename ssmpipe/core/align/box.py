@@ -11,6 +11,10 @@ from ssmpipe.core.arrays import Floats
 from ssmpipe.core.mesh.operators import surface_centroid
 from ssmpipe.core.mesh.trimesh import TriMesh
 
+LARGE, CLOSE, NEAR = 2000, 1.02, np.radians(2.5)
+"""Hulls with more vertices are searched in two steps; the second tries the faces within an angle [rad] of those whose box was
+nearly the smallest in the first."""
+
 
 def box_axes(mesh: TriMesh) -> Floats:
     """Return the axes of the oriented bounding box of least volume, rows, longest side first, right-handed.
@@ -37,7 +41,28 @@ def box_axes(mesh: TriMesh) -> Floats:
     hull = ConvexHull(points)
     corners = points[hull.vertices]
     normals = np.unique(np.round(hull.equations[:, :3], 6), axis=0)
-    best, axes = np.inf, np.eye(3)
+    if len(corners) > LARGE:
+        # a round shape has most of its vertices on the hull: first with the outermost ones in some directions, then all that is near
+        few = corners[np.unique(np.argmax(corners @ _directions().T, axis=0))]
+        rough = ConvexHull(few).equations[:, :3]
+        sizes = _boxes(rough, few)[0]
+        good = rough[sizes < CLOSE * sizes.min()]
+        normals = normals[(normals @ good.T).max(axis=1) > np.cos(NEAR)]
+    sizes, boxes = _boxes(normals, corners)
+    axes = boxes[int(np.argmax(sizes < sizes.min() * (1 + 1e-9)))]
+    axes = axes[np.argsort(-np.ptp(corners @ axes.T, axis=0), kind="stable")]
+    # near a principal axis take its sign
+    for k in range(2):
+        nearest = int(np.argmax(np.abs(axes[k])))
+        if axes[k, nearest] < 0:
+            axes[k] = -axes[k]
+    axes[2] = np.cross(axes[0], axes[1])
+    return np.asarray(axes @ skew)
+
+
+def _boxes(normals: Floats, corners: Floats) -> tuple[Floats, Floats]:
+    """Return volume (n,) and axes (n, 3, 3), as rows, of the smallest box with a side across each of the normals."""
+    sizes, boxes = [], []
     for normal in normals / np.linalg.norm(normals, axis=1, keepdims=True):
         basis = np.linalg.svd(normal[None])[2][1:]
         flat = corners @ basis.T
@@ -47,17 +72,17 @@ def box_axes(mesh: TriMesh) -> Floats:
         across = np.column_stack([-sides[:, 1], sides[:, 0]])
         area = np.ptp(outline @ sides.T, axis=0) * np.ptp(outline @ across.T, axis=0)
         k = int(np.argmin(area))
-        size = float(area[k] * np.ptp(corners @ normal))
-        if size < best * (1 - 1e-9):
-            best, axes = size, np.vstack([sides[k] @ basis, across[k] @ basis, normal])
-    axes = axes[np.argsort(-np.ptp(corners @ axes.T, axis=0), kind="stable")]
-    # near a principal axis take its sign
-    for k in range(2):
-        nearest = int(np.argmax(np.abs(axes[k])))
-        if axes[k, nearest] < 0:
-            axes[k] = -axes[k]
-    axes[2] = np.cross(axes[0], axes[1])
-    return np.asarray(axes @ skew)
+        sizes.append(float(area[k] * np.ptp(corners @ normal)))
+        boxes.append(np.vstack([sides[k] @ basis, across[k] @ basis, normal]))
+    return np.array(sizes), np.array(boxes)
+
+
+def _directions(n: int = 600) -> Floats:
+    """Return directions spread over the sphere, (n, 3): a spiral with the golden angle."""
+    height = 1 - 2 * (np.arange(n) + 0.5) / n
+    angle = np.pi * (3 - np.sqrt(5)) * np.arange(n)
+    ring = np.sqrt(1 - height**2)
+    return np.column_stack([ring * np.cos(angle), ring * np.sin(angle), height])
 
 
 def box_frame(mesh: TriMesh) -> Frame:
