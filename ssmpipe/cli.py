@@ -331,12 +331,35 @@ def check(config: Path, overrides: tuple[str, ...], jobs: int | None) -> None:
 @main.command()
 @_config_argument
 @_set_option
-def report(config: Path, overrides: tuple[str, ...]) -> None:
-    """Write report.html again from what is in the output folder."""
+@click.option(
+    "--format",
+    "form",
+    type=click.Choice(["html", "pdf"]),
+    default="html",
+    show_default=True,
+    help="html: the page and a page per shape; pdf: what of the page is not interactive, in one file for print (needs ssmpipe[pdf]).",
+)
+@click.option(
+    "--pseudonymize",
+    is_flag=True,
+    help="Write into report_pseudonymized/ with P001 ... instead of ids, file names and paths; the table of names goes to "
+    "pseudonyms.csv, beside that folder and not in it.  [default: off]",
+)
+def report(config: Path, overrides: tuple[str, ...], form: str, pseudonymize: bool) -> None:
+    """Write the report again from what is in the output folder."""
     with _errors(_debug()):
-        from ssmpipe.runner.status import rewrite_report
+        project = _load(config, overrides)
+        if form == "html" and not pseudonymize:
+            from ssmpipe.runner.status import rewrite_report
 
-        click.echo(f"report: {rewrite_report(_load(config, overrides))}")
+            click.echo(f"report: {rewrite_report(project)}")
+            return
+        from ssmpipe.runner.sharing import share_report
+
+        target, key = share_report(project, form="pdf" if form == "pdf" else "html", pseudonymize=pseudonymize)
+        click.echo(f"report: {target}")
+        if key is not None:
+            click.echo(f"names: {key} (do not give this file away)")
 
 
 @main.command()

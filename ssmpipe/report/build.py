@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from markupsafe import Markup
@@ -20,7 +21,33 @@ from ssmpipe.report.units import record_without_mm
 from ssmpipe.report.wording import count, number
 
 
-def build_report(
+@dataclass(frozen=True)
+class Document:
+    """A page before it is made into HTML or PDF: its title, a line about it, and its sections."""
+
+    name: str
+    about: str
+    version: str
+    sections: tuple[Section, ...]
+
+    def html(self) -> str:
+        """Return the page as one HTML document."""
+        return assemble(name=self.name, about=self.about, version=self.version, sections=self.sections)
+
+
+def build_report(**given: Any) -> str:
+    """Return the report of a run as one HTML document that works offline; arguments as :func:`report_document`.
+
+    Returns
+    -------
+    str
+        The same input gives the same text. The page's content security policy lets exactly its own script and style run
+        (by their SHA-256) and nothing be fetched.
+    """
+    return report_document(**given).html()
+
+
+def report_document(
     *,
     record: Mapping[str, Any],
     correspondence: Correspondence,
@@ -32,8 +59,8 @@ def build_report(
     quality: Table | None = None,
     landmarks: Mapping[str, Mapping[str, Floats]] | None = None,
     pages: Mapping[str, str] | None = None,
-) -> str:
-    """Return the report of a run as one HTML document that works offline.
+) -> Document:
+    """Return the report of a run.
 
     Parameters
     ----------
@@ -56,12 +83,6 @@ def build_report(
         Marked landmarks in the frame of the correspondence.
     pages : mapping id -> address, optional
         Pages of the single shapes, linked where the shape is named.
-
-    Returns
-    -------
-    str
-        The same input gives the same text. The page's content security policy lets exactly its own script and style run
-        (by their SHA-256) and nothing be fetched.
     """
     if (record.get("config") or {}).get("input", {}).get("units") == "none":
         record = record_without_mm(record)
@@ -81,7 +102,7 @@ def build_report(
     name = str(record.get("name") or "Shape model")
     about = f"{count(len(model.ids), 'shape')}, {number(len(model.mean))} points each, {count(len(model.modes), 'mode')} of variation"
     name = name[:1].upper() + name[1:]
-    return assemble(name=name, about=about, version=str(record.get("ssmpipe_version", "")), sections=sections)
+    return Document(name, about, str(record.get("ssmpipe_version", "")), tuple(sections))
 
 
 def assemble(

@@ -6,6 +6,7 @@ import base64
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
 
 import matplotlib
@@ -81,8 +82,24 @@ def figure(width: float, height: float) -> Figure:
     return made
 
 
+_raster_dpi: ContextVar[int | None] = ContextVar("raster_dpi", default=None)
+
+
+@contextmanager
+def as_pixels(dpi: int) -> Iterator[None]:
+    """Let :func:`svg_uri` give PNG instead, for what cannot read SVG."""
+    token = _raster_dpi.set(dpi)
+    try:
+        yield
+    finally:
+        _raster_dpi.reset(token)
+
+
 def svg_uri(made: Figure) -> str:
-    """Return a figure as an SVG data URI without date or creator."""
+    """Return a figure as an SVG data URI without date or creator; as PNG inside of :func:`as_pixels`."""
+    if (dpi := _raster_dpi.get()) is not None:
+        with style():
+            return png_uri(pixels(made, dpi), 256)
     buffer = io.BytesIO()
     with style():  # ids of clip paths come from the salt that is set while saving
         made.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})

@@ -20,6 +20,7 @@ from ssmpipe.report.build import assemble
 from ssmpipe.report.figures import AFTER, BEFORE, BONE, SIGNED_STOPS, figure, png_uri, style, svg_uri
 from ssmpipe.report.page import fill
 from ssmpipe.report.payload import in_space, landmark_places, quantized, quantized_map, viewer_payload
+from ssmpipe.report.pseudonyms import Pseudonyms
 from ssmpipe.report.raster import thinned
 from ssmpipe.report.section import ReportData, Section
 from ssmpipe.report.sections.grids import area_factors, grid_nodes, grid_picture
@@ -102,6 +103,21 @@ class PatientPage:
     def unit(self) -> str:
         """Unit of length."""
         return unit_of(self.record)
+
+    def renamed(self, names: Pseudonyms, record: Mapping[str, Any], results: Mapping[str, Any]) -> PatientPage:
+        """Return the same page with neutral names; ``record`` and ``results`` have them already."""
+        return replace(
+            self,
+            id=names.names[self.id],
+            record=record,
+            correspondence=results["correspondence"],
+            model=results["model"],
+            certificate=results["certificate"],
+            quality=results["quality"],
+            reconstructions=results["reconstructions"],
+            before=names.names[self.before] if self.before else None,
+            after=names.names[self.after] if self.after else None,
+        )
 
 
 def unit_of(record: Mapping[str, Any]) -> str:

@@ -51,7 +51,7 @@ def page_digests(workspace: Workspace, step: PlannedStep, shown: Mapping[str, An
         for slot, producer in step.inputs.items()
         if producer is not None and producer.scope == "cohort"
     }
-    rest = {key: shown.get(key) for key in ("name", "ssmpipe_version", "config")}
+    rest = [shown.get("name"), shown.get("ssmpipe_version"), shown["config"]["input"]["units"]]
     found = {}
     for place, shape in enumerate(ids):
         made = {}

@@ -30,6 +30,7 @@ from ssmpipe.runner.record import report_record
 from ssmpipe.runner.workspace import Workspace
 
 if TYPE_CHECKING:
+    from ssmpipe.report.build import Document
     from ssmpipe.report.patient import PatientPage
 
 NAME = "report.html"
@@ -114,8 +115,10 @@ def write_report(
     if not decision.run:
         return target, TaskRecord(step.id, None, "up to date", decision.reason, request.fingerprint)
     artifacts = results_of(workspace, step)
-    files = write_pages(workspace, step, shown, artifacts, requests, force=force)
-    write_atomically(target, report_page(shown, artifacts, workspace, step))
+    marks = landmarks_of(workspace, step, artifacts["correspondence"])
+    addresses = {shape: f"{FOLDER}/{page_name(shape)}" for shape in requests}
+    files = write_pages(workspace, step, shown, artifacts, requests, marks, force=force)
+    write_atomically(target, report_of(shown, artifacts, marks, addresses).html())
     with disk_errors():
         folder.mkdir(parents=True, exist_ok=True)
         up = Path(os.pardir) / os.pardir
@@ -146,16 +149,14 @@ def results_of(workspace: Workspace, step: PlannedStep) -> dict[str, Any]:
     return artifacts
 
 
-def report_page(shown: Mapping[str, Any], artifacts: Mapping[str, Any], workspace: Workspace, step: PlannedStep) -> str:
-    """Return the text of ``report.html``."""
-    from ssmpipe.report.build import build_report
+def report_of(
+    shown: Mapping[str, Any], artifacts: Mapping[str, Any], marks: Mapping[str, Any], pages: Mapping[str, str]
+) -> Document:
+    """Return the report before it is made into HTML or PDF; ``pages`` are addresses of the pages of the shapes."""
+    from ssmpipe.report.build import report_document
 
-    given = {
-        slot: value for slot, value in artifacts.items() if slot not in ("reconstructions", "landmarks", "transform")
-    }
-    pages = {shape: f"{FOLDER}/{page_name(shape)}" for shape in shown["shapes"]}
-    marks = landmarks_of(workspace, step, given["correspondence"])
-    return build_report(record=shown, **given, landmarks=marks, pages=pages)
+    given = {slot: value for slot, value in artifacts.items() if slot != "reconstructions"}
+    return report_document(record=shown, **given, landmarks=marks, pages=pages)
 
 
 def shape_page(
@@ -187,6 +188,7 @@ def write_pages(
     shown: Mapping[str, Any],
     artifacts: Mapping[str, Any],
     requests: Mapping[str, str],
+    marks: Mapping[str, Any],
     *,
     force: bool = False,
 ) -> dict[str, str]:
@@ -195,7 +197,6 @@ def write_pages(
 
     folder, pages = workspace.folder(step, None), workspace.out / FOLDER
     old = WrittenPages.read(folder)
-    marks = landmarks_of(workspace, step, artifacts["correspondence"])
     files: dict[str, str] = {}
     for shape, request in requests.items():
         path = pages / page_name(shape)

@@ -1,11 +1,17 @@
 from __future__ import annotations
 
+import base64
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from ssmpipe.report.build import build_report
+from ssmpipe.report.payload import cohort_columns, groups_of
+from ssmpipe.report.sections.modes import nice_ceiling
+from ssmpipe.report.solid import vertex_normals
 from tests.support.chromium import Browser, find_chromium
 from tests.support.small_run import small_run
 
@@ -104,6 +110,119 @@ def test_a_mode_plays_and_stops(page: Browser) -> None:
     before = output(page, 0)
     page.evaluate("new Promise((done) => setTimeout(done, 300))")
     assert output(page, 0) == before
+
+
+def test_two_shapes_beside_and_on_top_of_each_other(page: Browser) -> None:
+    page.evaluate("document.querySelector('[data-control=reset]').click()")
+    alone = picture(page)
+    choose(page, "other", "3")
+    beside = picture(page)
+    assert beside != alone
+    assert page.evaluate("document.querySelector('[data-control=name-b]').textContent") == "P04"
+    assert page.evaluate("document.querySelector('[data-control=name-b]').hidden") is False
+    unlike = (  # share of pixels of the two halves that differ visibly
+        "(() => { const c = document.querySelector('#viewer canvas'), w = Math.floor(c.width / 2), h = c.height;"
+        " const x = document.createElement('canvas'); x.width = 2 * w; x.height = h; const g = x.getContext('2d');"
+        " g.drawImage(c, 0, 0); const [a, b] = [0, w].map((left) => g.getImageData(left, 0, w, h).data); let n = 0;"
+        " for (let i = 0; i < a.length; i += 4) n += [0, 1, 2].some((k) => Math.abs(a[i + k] - b[i + k]) > 40);"
+        " return n / (w * h); })()"
+    )
+    choose(page, "patient", "3")  # the same shape on both sides, one camera: the same picture but for the rims
+    picture(page)
+    assert page.evaluate(unlike) < 0.01
+    page.evaluate("document.querySelectorAll('[data-look]')[2].click()")
+    turned = picture(page)
+    assert page.evaluate(unlike) < 0.01
+    choose(page, "patient", "1")
+    assert picture(page) != turned
+    assert page.evaluate(unlike) > 0.02
+    choose(page, "layout", "over")
+    assert picture(page) not in (alone, beside)
+    assert page.evaluate("document.querySelector('[data-control=name-b]').hidden") is True
+    choose(page, "other", "")
+    choose(page, "patient", "")
+
+
+def test_difference_of_two_patients_has_its_legend_in_mm(page: Browser) -> None:
+    run = small_run(ids=(HOSTILE, "P02", "P03", "P04"))
+    choose(page, "patient", "1")
+    choose(page, "other", "2")
+    choose(page, "colour", "other")
+    picture(page)
+    mean = run.model.mean
+    rebuilt = [
+        mean + np.einsum("k,kpd->pd", s * np.sqrt(run.model.variances), run.model.modes) for s in run.model.scores
+    ]
+    along = ((rebuilt[1] - rebuilt[2]) * vertex_normals(mean, run.model.faces)).sum(axis=1)
+    limit = nice_ceiling(float(np.sort(np.abs(along))[int(0.99 * (len(along) - 1))]))
+    assert page.evaluate("document.querySelector('[data-control=high]').textContent") == f"+{limit:g} mm"
+    assert "Distance from P03" in page.evaluate("document.querySelector('[data-control=caption]').textContent")
+    choose(page, "patient", "2")  # no difference from itself: no colours, no legend
+    assert page.evaluate("document.querySelector('[data-control=legend]').hidden") is True
+    choose(page, "colour", "distance")
+    choose(page, "other", "")
+    choose(page, "patient", "")
+
+
+def test_groups_and_landmarks(page: Browser) -> None:
+    page.evaluate("document.querySelector('[data-control=reset]').click()")
+    mean = picture(page)
+    choose(page, "patient", "1")
+    choose(page, "colour", "bone")
+    plain = picture(page)
+    choose(page, "colour", "group")
+    assert picture(page) != plain
+    choose(page, "patient", "g0")
+    run = small_run(ids=(HOSTILE, "P02", "P03", "P04"))
+    group = groups_of(cohort_columns(run.model.ids, run.record["shapes"]))[0]
+    score = float(np.mean([run.model.scores[i, 0] for i in group.members]))
+    assert output(page, 0) == f"{score:+.1f} σ".replace("-", "−")
+    page.evaluate("document.querySelector('[data-control=reset]').click()")
+    choose(page, "colour", "distance")
+    assert picture(page) == mean
+    tick = (
+        "(() => { const e = document.querySelector('[data-control=landmarks]'); e.checked = !e.checked;"
+        " e.dispatchEvent(new Event('change')); })()"
+    )
+    page.evaluate(tick)
+    assert picture(page) != mean
+    assert page.evaluate("document.querySelector('[data-control=landmark-key]').hidden") is False
+    page.evaluate(tick)
+    assert picture(page) == mean
+
+
+def test_the_picture_can_be_saved(page: Browser) -> None:
+    page.evaluate(
+        "window.saved = null; HTMLAnchorElement.prototype.click = function () { window.saved = [this.download, this.href.slice(0, 22)]; };"
+        " document.querySelector('[data-control=picture]').click(); delete HTMLAnchorElement.prototype.click"
+    )
+    assert page.evaluate("window.saved") == ["shape.png", "data:image/png;base64,"]
+
+
+def test_everything_can_be_reached_and_has_a_name(page: Browser) -> None:
+    nameless = page.evaluate(
+        "[...document.querySelectorAll('button, select, input, canvas, a, summary')].filter((e) => !(e.textContent.trim()"
+        " || e.getAttribute('aria-label') || e.labels?.length)).map((e) => e.outerHTML)"
+    )
+    assert nameless == []
+    unreachable = page.evaluate(
+        "[...document.querySelectorAll('button, select, input, canvas, summary')].filter((e) => e.tabIndex < 0).map((e) => e.outerHTML)"
+    )
+    assert unreachable == []
+    assert page.evaluate("[...document.querySelectorAll('th')].filter((e) => !e.hasAttribute('scope')).length") == 0
+    levels = page.evaluate("[...document.querySelectorAll('h1, h2, h3, h4')].map((e) => Number(e.tagName[1]))")
+    assert levels[0] == 1
+    assert all(after - before <= 1 for before, after in pairwise(levels))
+
+
+def test_print_shows_the_pictures_and_hides_the_controls(page: Browser) -> None:
+    page.send("Emulation.setEmulatedMedia", media="print")
+    hidden = page.evaluate("getComputedStyle(document.getElementById('viewer')).display")
+    shown = page.evaluate("getComputedStyle(document.querySelector('.print')).display")
+    made = page.send("Page.printToPDF", printBackground=True)["data"]
+    page.send("Emulation.setEmulatedMedia", media="")
+    assert (hidden, shown) == ("none", "block")
+    assert base64.b64decode(made)[:5] == b"%PDF-"
 
 
 def test_arrow_keys_turn_the_picture(page: Browser) -> None:

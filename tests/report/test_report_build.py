@@ -3,6 +3,7 @@ from __future__ import annotations
 import base64
 import dataclasses
 import hashlib
+import json
 import re
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from ssmpipe.contract import Table
 from ssmpipe.report.build import build_report
+from ssmpipe.report.payload import viewer_payload
 from tests.support.small_run import SmallRun, small_run
 
 HOSTILE = '</script><script>alert(1)</script><img src=x onerror="alert(2)">'
@@ -172,5 +174,26 @@ def test_surfaces_that_close_around(run: SmallRun, topology: str) -> None:
 
 @pytest.mark.slow
 def test_size_of_a_report_of_ordinary_size() -> None:
-    ids = tuple(f"P{i:02d}" for i in range(12))
-    assert len(build_report(**small_run(ids, n=51, n_modes=10).arguments()).encode()) < 4e6
+    ids = tuple(f"P{i:02d}" for i in range(50))
+    run = small_run(ids, n=51, n_modes=10)
+    html = build_report(**run.arguments())
+    assert len(html.encode()) < 6e6
+    assert html.count("data-mode=") == 10
+
+
+def test_the_viewer_of_many_points_stays_small(run: SmallRun) -> None:
+    # as many modes as shapes and ten times the usual points: the last modes are left out, and the page says so
+    n_points, n_modes = 26000, 49
+    rng = np.random.default_rng(0)
+    large = dataclasses.replace(
+        run.model,
+        mean=rng.normal(size=(n_points, 3)),
+        modes=rng.normal(size=(n_modes, n_points, 3)),
+        variances=np.linspace(2, 1, n_modes),
+        scores=rng.normal(size=(6, n_modes)),
+        grid=(130, 200),
+        faces=rng.integers(0, n_points, (2 * n_points, 3)),
+    )
+    payload = viewer_payload(large, look=(0, 0), unit="mm")
+    assert len(json.dumps(payload)) < 4.2e6
+    assert 10 <= len(payload["modes"]["step"]) < n_modes

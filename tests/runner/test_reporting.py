@@ -31,6 +31,23 @@ def test_report_is_written_once_and_again_when_results_change(run: Callable[...,
     assert page.exists()
 
 
+def test_every_shape_has_a_page_and_only_what_changed_is_written(run: Callable[..., RunResult], tmp_path: Path) -> None:
+    run("stages.grow.refuse=[b]", stages=CHAIN)
+    pages = {path.stem: path for path in (tmp_path / "out/report").iterdir()}
+    assert sorted(pages) == ["a", "b", "c", "d"]
+    assert "the mesh has 2 components" in pages["b"].read_text()
+    assert "set aside" not in pages["a"].read_text()
+    stamps = {name: path.stat().st_mtime_ns for name, path in pages.items()}
+    text = pages["c"].read_text()
+    pages["c"].write_text("spoilt")
+    assert run("stages.grow.refuse=[b]", stages=CHAIN).n_run == 1
+    assert pages["c"].read_text() == text
+    assert [name for name, path in pages.items() if path.stat().st_mtime_ns != stamps[name]] == ["c"]
+    (tmp_path / "scans/d.ply").unlink()
+    run("stages.grow.refuse=[b]", "min_shapes=2", stages=CHAIN)
+    assert sorted(path.stem for path in (tmp_path / "out/report").iterdir()) == ["a", "b", "c"]
+
+
 def test_report_command(run: Callable[..., RunResult], project: Callable[..., Project], tmp_path: Path) -> None:
     with pytest.raises(SsmpipeError, match="'correspondence' of stage 'results' has not been made yet"):
         rewrite_report(project(stages=CHAIN))

@@ -28,7 +28,8 @@ function start(root) {
 
   /** Scores of a patient ("3") or of the mean of a group ("g0"); null for what is not made from modes. */
   function scoresOf(key) {
-    return isPatient(key) ? data.scores[Number(key)] : key[0] === "g" ? meanScores(groups[Number(key.slice(1))].members) : null;
+    const found = isPatient(key) ? data.scores[Number(key)] : key[0] === "g" ? meanScores(groups[Number(key.slice(1))].members) : null;
+    return found && Float32Array.from(found); // as exact as the sliders, so that a shape does not differ from itself
   }
 
   function pointsOf(key, out) {
