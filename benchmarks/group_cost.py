@@ -3,7 +3,8 @@
     python -m benchmarks.group_cost
 
 Every size runs in a process of its own (one thread, default options but for the grid and the coefficients). Prints CPU seconds
-and memory beyond an idle process, the fitted constants that ``estimate.py`` holds, and how far single sizes lie from the fit.
+and memory beyond an idle process, the fitted constants that ``estimate.py`` holds (but for the products and eigenvalues of
+thousands of shapes, which these sizes do not show), and how far single sizes lie from the fit.
 """
 
 from __future__ import annotations
