@@ -51,12 +51,12 @@ class Counting:
         return int(self.engine.n_workers)
 
     def share(self, arrays: Arrays) -> Content:
-        return self.engine.share(arrays)  # type: ignore[no-any-return]
+        return self.engine.share(arrays)
 
     def call(self, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
         answers = self.engine.call(function, arguments)
         self.bytes += sum(len(pickle.dumps(one, protocol=5)) for one in (*arguments, *answers))
-        return answers  # type: ignore[no-any-return]
+        return answers
 
 
 @contextmanager
@@ -112,7 +112,7 @@ def measure(name: str, splines: list[Spline], engine: Engine | None, iterations:
         evaluations[0] += 1
         return out
 
-    f.value_and_gradient = timed  # type: ignore[method-assign]
+    f.value_and_gradient = timed
     result = minimize_interior(
         f,
         x,

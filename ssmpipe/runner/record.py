@@ -150,7 +150,15 @@ def resolved_config(project: Project) -> dict[str, Any]:
 
 def volatile_files(workspace: Workspace) -> list[str]:
     """Return patterns, relative to the output folder, of the files that hold clock readings or machine facts."""
-    found = ["run.json", "run.part-*.json", ".lock*", ".work/**", "shapes/*/*/timing.json", "cohort/*/timing.json"]
+    found = [
+        "run.json",
+        "run.part-*.json",
+        ".lock*",
+        ".work/**",
+        ".checkpoints/**",
+        "shapes/*/*/timing.json",
+        "cohort/*/timing.json",
+    ]
     for step in workspace.plan.steps:
         base = "cohort/" + step.id if step.scope == "cohort" else f"shapes/*/{step.folder}"
         slots = [port.slot for port in step.outputs if port.volatile]
@@ -181,9 +189,13 @@ def report_record(record: Mapping[str, Any]) -> dict[str, Any]:
             if t["stage"] != "report"
         ]  # fmt: skip
 
-    keep = ("name", "ssmpipe_version", "versions", "seed", "config", "failures", "methods")
+    keep = ("name", "ssmpipe_version", "versions", "seed", "failures", "methods")
+    # where the work was done does not show in the results, and so not here
+    config = {key: value for key, value in record["config"].items() if key not in ("executor", "scheduler", "tls")}
+    config["limits"] = {key: value for key, value in config["limits"].items() if key != "checkpoint_every"}
     return {
         **{key: record[key] for key in keep},
+        "config": config,
         "shapes": {i: {**shape, "stages": plain(shape["stages"])} for i, shape in record["shapes"].items()},
         "cohort_stages": plain(record["cohort_stages"]),
     }
