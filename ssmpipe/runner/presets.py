@@ -134,13 +134,13 @@ PRESETS: Mapping[str, Preset] = {
         ),
         Preset(
             name="aorta",
-            summary="aorta, branches removed and both ends trimmed",
+            summary="aorta, branches removed, cut below the sinuses and at the other end",
             topology="tube",
             stages=(
                 ("repair", {"max_openings": 20}),
                 ("orient", {"mirror": "none", "frame": "principal"}),
                 ("fill-holes", {"keep_openings": 2, "opening_share": 0.5, "stump_reach_mm": 40.0}),
-                ("trim", {"ends": 2}),
+                ("trim", {"ends": 2, "ends_at": "sinuses", "extend_mm": 6.0}),
                 ("smooth", {}),
                 ("decimate", {}),
                 ("align", {"check_mirror": False}),

@@ -5,11 +5,14 @@ from __future__ import annotations
 from typing import Literal
 
 from ssmpipe.contract import Context, Landmarks
-from ssmpipe.core.errors import LandmarkError
+from ssmpipe.core.arrays import Ints
+from ssmpipe.core.errors import GeometryError, LandmarkError
 from ssmpipe.core.mesh.operators import area
 from ssmpipe.core.mesh.topology import boundary_loops, loop_length
 from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.core.repair.sinuses import find_sinuses, planes_at_sinuses
 from ssmpipe.core.repair.tube_ends import (
+    EndPlane,
     open_closed_end,
     openings,
     planes_at_fractions,
@@ -26,9 +29,11 @@ def trim_both_ends(
     marks: Landmarks,
     ctx: Context,
     *,
-    at: Literal["rims", "fractions", "landmarks"],
+    at: Literal["rims", "fractions", "landmarks", "sinuses"],
     margin: float,
     fractions: tuple[float, float],
+    below_sinuses: float,
+    tube_mm: float | None,
     extend_mm: float,
     snap: float,
 ) -> TriMesh:
@@ -49,6 +54,8 @@ def trim_both_ends(
         planes = planes_at_fractions(mesh, rims, fractions)
     else:
         planes = planes_inside_rims(mesh, rims, margin)
+    if at == "sinuses":
+        planes = _by_sinuses(mesh, rims, planes, ctx, below_sinuses, tube_mm, extend_mm)
     done = trim_tube(mesh, rims, planes, extend_mm=extend_mm, snap=snap)
     ctx.metric("cut_by", at)
     for k, (removed, added) in enumerate(zip(done.removed, done.added, strict=True), start=1):
@@ -69,3 +76,37 @@ def trim_both_ends(
         )
         ctx.metric(f"rim_{k}_mm", loop_length(done.mesh, rim))
     return done.mesh
+
+
+def _by_sinuses(
+    mesh: TriMesh,
+    rims: tuple[Ints, Ints],
+    at_rims: tuple[EndPlane, EndPlane],
+    ctx: Context,
+    below: float,
+    tube_mm: float | None,
+    extend_mm: float,
+) -> tuple[EndPlane, EndPlane]:
+    """Return planes by the sinuses, or those at the rims where there are none; the report says which."""
+    try:
+        sinuses = find_sinuses(mesh, rims)
+    except GeometryError as error:
+        ctx.warn(f"{error.fact}; both ends are cut just inside the rims, at places that need not correspond")
+        ctx.metric("sinuses", "not found")
+        return at_rims
+    lower, upper = planes_at_sinuses(sinuses, below, tube_mm)
+    other = at_rims[1 if sinuses.first else 0]
+    ctx.metric("sinuses", "first end" if sinuses.first else "second end")
+    ctx.metric("sinus_height_mm", sinuses.height)
+    ctx.metric("junction_diameter_mm", sinuses.diameter)
+    if upper is not None:
+        rim = mesh.vertices[rims[1 if sinuses.first else 0]]
+        missing = -float(((rim - upper.point) @ upper.normal).min())
+        if missing > extend_mm:
+            ctx.warn(
+                f"the scan ends {missing:.1f} mm before trim.tube_mm: {tube_mm:g}, more than trim.extend_mm, and is cut just inside "
+                "its rim, at a place that need not correspond"
+            )
+        else:
+            other = upper
+    return (lower, other) if sinuses.first else (other, lower)

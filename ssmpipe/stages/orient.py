@@ -109,7 +109,7 @@ def _axes_from_landmarks(marks: Landmarks) -> Floats | None:
 STAGE = Stage(
     name="orient",
     scope="shape",
-    version=1,
+    version=2,
     config=Config,
     run=run,
     inputs=(

@@ -78,10 +78,11 @@ class Config(StageConfig):
         Literal[1, 2], Field(description="Ends that are cut: 1, or 2 for a tube across its centre line [count].")
     ] = 1
     ends_at: Annotated[
-        Literal["rims", "fractions", "landmarks"],
+        Literal["rims", "fractions", "landmarks", "sinuses"],
         Field(
-            description="Where a tube is cut: just inside each ragged rim, at `end_fractions` of its centre line, or through "
-            "the landmarks with roles opening_1 and opening_2 (which otherwise only tell the rims apart)."
+            description="Where a tube is cut: just inside each ragged rim; at `end_fractions` of its centre line; through "
+            "the landmarks with roles opening_1 and opening_2 (which otherwise only tell the rims apart); or below the sinuses of an "
+            "aortic root that geometry finds, and `tube_mm` farther up (at the rims, with a warning, where there are none)."
         ),
     ] = "rims"
     end_margin_mm: Annotated[
@@ -91,6 +92,22 @@ class Config(StageConfig):
         tuple[float, float],
         Field(description="Where a tube is cut, in lengths of its centre line from the first rim [-]."),
     ] = (0.05, 0.95)
+    below_sinuses: Annotated[
+        float,
+        Field(
+            ge=0,
+            description="With ends_at: sinuses, distance of the lower cut below the lower end of the sinuses' three lobes, in their "
+            "heights; 0.35 is about the annulus [-].",
+        ),
+    ] = 0.35
+    tube_mm: Annotated[
+        float | None,
+        Field(
+            gt=0,
+            description="With ends_at: sinuses, distance of the upper cut from the lower one along the centre line; without it the "
+            "upper end is cut just inside its rim [mm].",
+        ),
+    ] = None
     extend_mm: Annotated[
         float,
         Field(
@@ -109,6 +126,8 @@ class Config(StageConfig):
             raise ValueError("up and across must not be zero vectors")
         if not 0 <= self.end_fractions[0] < self.end_fractions[1] <= 1:
             raise ValueError("end_fractions must rise and lie between 0 and 1")
+        if self.tube_mm is not None and self.ends_at != "sinuses":
+            raise ValueError("tube_mm counts from the sinuses; set ends_at: sinuses")
         return self
 
 
@@ -122,6 +141,8 @@ def run(mesh: TriMesh, landmarks: Landmarks | None = None, *, cfg: Config, ctx: 
             at=cfg.ends_at,
             margin=cfg.end_margin_mm,
             fractions=cfg.end_fractions,
+            below_sinuses=cfg.below_sinuses,
+            tube_mm=cfg.tube_mm,
             extend_mm=cfg.extend_mm,
             snap=cfg.snap,
         )
@@ -167,7 +188,7 @@ def run(mesh: TriMesh, landmarks: Landmarks | None = None, *, cfg: Config, ctx: 
 STAGE = Stage(
     name="trim",
     scope="shape",
-    version=1,
+    version=2,
     config=Config,
     run=run,
     inputs=(Port("mesh", "trimesh"), Port("landmarks", "landmarks", optional=True)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +17,10 @@ from ssmpipe.core.mesh.sections import section_areas, section_segments
 from ssmpipe.core.mesh.topology import boundary_loops, loop_length
 from ssmpipe.core.mesh.trimesh import TriMesh
 
+_SLENDER = 3.3
+"""A femur more than so many times longer than wide has its first principal axis along the shaft."""
+_NEAREST = 1.5
+"""The lesser trochanter lies more than so many radii of the head below its centre (2 to 3 as a rule)."""
 _REFUSED = "check that the scan shows a femur with its head, or use frame: principal"
 
 
@@ -52,7 +57,8 @@ class ProximalFemur:
 def analyze_proximal_femur(mesh: TriMesh, n_rounds: int = 3) -> ProximalFemur:
     """Find shaft, head and lesser trochanter of a femur, whole or cut below the lesser trochanter, in any pose.
 
-    1. The shaft runs along the first principal axis of a long piece, or towards the end of a short one that is like a cylinder.
+    1. The shaft runs along the first principal axis of a long piece; of a shorter one across its cut, or towards the end that is
+       like a cylinder. Where one guess leads to no head, the next one is tried.
        The end whose sections lie farther off the line through the thin sections is the one with the head.
     2. The head is a sphere fitted to what lies farthest from the shaft's axis.
     3. The distance of the surface from the axis, as a function of height and angle, has a bulge at the lesser trochanter: the
@@ -133,15 +139,21 @@ def _from_start(local: TriMesh, points: Floats, start: tuple[Floats, Floats, flo
     return ProximalFemur(z, origin, diameter, head, radius, apex, bulge)
 
 
-def _first_axes(mesh: TriMesh, points: Floats) -> list[tuple[Floats, Floats, float]]:
-    """Return directions towards the head, points of the axis, and diameters of the shaft, all roughly, the likeliest first."""
+def _first_axes(mesh: TriMesh, points: Floats) -> Iterator[tuple[Floats, Floats, float]]:
+    """Yield directions towards the head, points of the axis, and diameters of the shaft, all roughly, the likeliest first.
+
+    The principal axis of a piece that is not much longer than wide leans towards the head: the cut tells more.
+    """
     axes, _ = principal_axes(mesh)
     extent = np.ptp(points @ axes.T, axis=0)
-    long = extent[0] > 2.2 * extent[1]
-    if long:
-        return _axes_along(mesh, points, axes[0], long)
+    slender = extent[0] > _SLENDER * extent[1]
+    if slender:
+        yield from _axes_along(mesh, points, axes[0], long=True)
     cut = _cut_direction(mesh)
-    return [start for z in (-cut, -cylinder_end(mesh), cut) for start in _axes_along(mesh, points, z, long)]
+    for find in (lambda: -cut, lambda: -cylinder_end(mesh), lambda: cut):
+        yield from _axes_along(mesh, points, find(), long=False)
+    if not slender:
+        yield from _axes_along(mesh, points, axes[0], long=True)
 
 
 def _axes_along(mesh: TriMesh, points: Floats, z: Floats, long: bool) -> list[tuple[Floats, Floats, float]]:
@@ -153,7 +165,7 @@ def _axes_along(mesh: TriMesh, points: Floats, z: Floats, long: bool) -> list[tu
         seen &= at < low + 0.35 * (high - low)
     inner = seen & (at > low + 0.04 * (high - low)) & (at < high - 0.04 * (high - low))
     if inner.sum() < 4:
-        raise GeometryError("no shaft found below the femoral head", _REFUSED)
+        return []
     thin = inner & (areas < 1.5 * np.quantile(areas[inner], 0.1))
     origin = centroids[thin].mean(axis=0)
     direction = np.linalg.svd(centroids[thin] - origin)[2][0] if long and thin.sum() >= 4 else z
@@ -258,6 +270,7 @@ def _lowest_bulge(
     within = (beside > 15.0) & (beside < 140.0)
     candidate = peak & within[None, :] & (smooth > 0.6 * diameter) & (rise > 0.01 * diameter)
     candidate[:6] = candidate[-6:] = False
+    candidate[heights > top - _NEAREST * radius] = False
     rows, columns = np.nonzero(candidate)
     if len(rows) == 0:
         raise GeometryError(

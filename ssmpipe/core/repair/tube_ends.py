@@ -11,7 +11,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from ssmpipe.core.arrays import Floats, Ints
-from ssmpipe.core.errors import GeometryError, TopologyError
+from ssmpipe.core.errors import TopologyError
 from ssmpipe.core.mesh.centre_line import centre_line
 from ssmpipe.core.mesh.operators import edge_lengths, face_areas, face_normals, mean_edge_length
 from ssmpipe.core.mesh.topology import (
@@ -23,6 +23,7 @@ from ssmpipe.core.mesh.topology import (
     unique_edges,
 )
 from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.core.mesh.tube_profile import point_on_line
 from ssmpipe.core.repair.cleaning import separate_fans
 from ssmpipe.core.repair.extension import extend
 from ssmpipe.core.repair.trimming import cut_by_plane
@@ -74,7 +75,7 @@ def open_closed_end(mesh: TriMesh) -> TriMesh:
     distance = csgraph.dijkstra(graph, indices=rim, min_only=True)
     far = int(np.argmax(np.where(np.isfinite(distance), distance, -1.0)))
     line = centre_line(mesh, rim, np.array([far]))
-    _, outward = _at(line, _length(line) * 0.85, _length(line) * 0.2)
+    _, outward = point_on_line(line, _length(line) * 0.85, _length(line) * 0.2)
     facing = np.flatnonzero(face_normals(mesh) @ outward > np.cos(np.radians(45.0)))
     label = face_components(mesh.faces[facing])
     center = mesh.vertices[mesh.faces[facing]].mean(axis=1)
@@ -129,12 +130,12 @@ def planes_inside_rims(mesh: TriMesh, rims: tuple[Ints, Ints], margin: float) ->
         radius = float(np.median(np.linalg.norm(points - points.mean(axis=0), axis=1)))
         at = 0.0
         for _ in range(20):
-            point, tangent = _at(inward, at, radius)
+            point, tangent = point_on_line(inward, at, radius)
             inside = float(((points - point) @ tangent).max()) + margin
             if abs(inside) < 1e-9 * radius:
                 break
             at = float(np.clip(at + inside, 0.0, 0.5 * _length(inward)))
-        point, tangent = _at(inward, at, radius)
+        point, tangent = point_on_line(inward, at, radius)
         height = float(((points - point) @ -tangent).min()) - margin
         found.append(EndPlane(point - height * tangent, -tangent))
     return found[0], found[1]
@@ -146,7 +147,7 @@ def planes_at_fractions(
     """Return planes across the centre line at two fractions of its length, counted from the first rim."""
     line = centre_line(mesh, *rims)
     total = _length(line)
-    (p, t), (q, s) = (_at(line, f * total, 0.05 * total) for f in fractions)
+    (p, t), (q, s) = (point_on_line(line, f * total, 0.05 * total) for f in fractions)
     return EndPlane(p, -t), EndPlane(q, s)
 
 
@@ -158,7 +159,8 @@ def planes_through_points(
     total = _length(line)
     length = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))]
     tangents = [
-        _at(line, float(length[np.argmin(np.linalg.norm(line - point, axis=1))]), 0.05 * total)[1] for point in points
+        point_on_line(line, float(length[np.argmin(np.linalg.norm(line - point, axis=1))]), 0.05 * total)[1]
+        for point in points
     ]
     return EndPlane(np.asarray(points[0]), -tangents[0]), EndPlane(np.asarray(points[1]), tangents[1])
 
@@ -238,17 +240,3 @@ def _cut_end(mesh: TriMesh, rim: Ints, plane: EndPlane, snap: float) -> TriMesh:
 
 def _length(line: Floats) -> float:
     return float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
-
-
-def _at(line: Floats, at: float, window: float) -> tuple[Floats, Floats]:
-    """Return the point of a polyline at an arc length, and its unit tangent, from a parabola through what lies near it."""
-    length = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))]
-    low, high = np.clip([at - window, at + window], 0.0, length[-1])
-    if high <= low:
-        raise GeometryError("the centre line of the tube has no length", "check that the scan is a tube")
-    places = np.linspace(low, high, 41)
-    near = np.column_stack([np.interp(places, length, line[:, d]) for d in range(3)])
-    offset = (places - at) / window
-    tangent = np.linalg.lstsq(np.column_stack([np.ones(41), offset, offset**2]), near, rcond=None)[0][1]
-    point = np.array([np.interp(at, length, line[:, d]) for d in range(3)])
-    return point, tangent / np.linalg.norm(tangent)

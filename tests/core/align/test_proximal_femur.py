@@ -10,6 +10,8 @@ from ssmpipe.core.mesh.primitives import sphere, star_shape, tube
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.repair.cleaning import close_openings
 from ssmpipe.core.repair.trimming import trim
+from ssmpipe.synth import femur_proximal as fp
+from ssmpipe.synth.implicit import polygonize, project
 from tests.support.femora import femur, femur_ids, landmark, needs_femora, sides
 from tests.support.meshes import random_motion, relabeled
 
@@ -72,3 +74,33 @@ def test_motion_order_and_mirror_change_nothing():
 def test_what_is_no_femur_is_refused(mesh: TriMesh):
     with pytest.raises(GeometryError, match=r"no (femoral head|lesser trochanter|shaft) found.*try: "):
         analyze_proximal_femur(mesh)
+
+
+@pytest.fixture(scope="module")
+def template() -> TriMesh:
+    """Return the synthetic right femur with a long shaft, lesser trochanter at height 0."""
+    lower = np.array([*fp._LOWER[:2], -205.0])
+    vertices, faces = polygonize(
+        lambda p: np.maximum(fp.template_field(p), -(p[:, 2] + 200.0)), lower, fp._UPPER, 4.0, np.eye(4)
+    )
+    return TriMesh(project(fp.template_field, vertices, n_steps=1), faces)
+
+
+@pytest.mark.parametrize("closed", [False, True], ids=["open", "flat end"])
+@pytest.mark.parametrize("shaft", [-36.0, -75.0, -195.0])
+@pytest.mark.parametrize("neck", [(0.0, 0.0, 0.0), (3.0, -3.0, -1.9), (-2.0, 2.0, 1.5)], ids=["mean", "steep", "flat"])
+def test_shafts_of_every_length_and_odd_necks(template: TriMesh, shaft: float, neck: tuple[float, ...], closed: bool):
+    """Neck angle, anteversion and lesser trochanter beyond what the cohort has; pieces 1.5 to 4 times longer than wide."""
+    scores = np.zeros(len(fp.MODES))
+    scores[[1, 2, 7]] = neck
+    part = trim(template, np.array([0.0, 0.0, shaft]), np.array([0.03, -0.02, -1.0]) / np.linalg.norm([0.03, -0.02, 1]))
+    part = close_openings(part) if closed else part
+    places = np.array([fp.HEAD, [-13.0, -17.0, 0.0], [0.0, 0.0, -30.0], [0.0, 0.0, -10.0]])
+    head, trochanter, low, high = fp.deform(places, scores, fp.Cam(0.0))
+    motion = random_motion(np.random.default_rng(int(-shaft)))
+    bone = TriMesh(fp.deform(part.vertices, scores, fp.Cam(0.0)), part.faces)
+    found = analyze_proximal_femur(move(bone, motion))
+    axis = motion[:3, :3] @ (high - low) / np.linalg.norm(high - low)
+    assert np.degrees(np.arccos(found.axis @ axis)) < 4.0
+    assert np.linalg.norm(found.head - apply(motion, head[None])[0]) < 2.0
+    assert abs((found.trochanter - apply(motion, trochanter[None])[0]) @ axis) < 6.0

@@ -1,0 +1,193 @@
+"""Find the sinuses of an aortic root, and planes across the tube that lie at the same places in every aorta."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from ssmpipe.core.arrays import Floats, Ints
+from ssmpipe.core.errors import GeometryError
+from ssmpipe.core.mesh.centre_line import centre_line
+from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.core.mesh.tube_profile import TubeProfile, point_on_line, tube_profile
+from ssmpipe.core.repair.tube_ends import EndPlane
+
+_BULGE = 0.02
+"""Sinuses are wider than the tube on both sides of them by at least this share."""
+_LOBES = 0.01
+"""The three-lobed wave of their sections is at least this share of the diameter."""
+_REACH = 3.0
+"""Sinuses lie within so many diameters of an end."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sinuses:
+    """Where the three sinuses of an aortic root lie along the centre line.
+
+    Attributes
+    ----------
+    first : bool
+        Whether they lie at the first rim; else at the second.
+    lower, upper : float
+        Where the three-lobed wave of the sections passes half of its largest amplitude, in arc length from the rim on the side of the
+        sinuses [mm]; ``lower`` may be negative, where the scan ends inside the sinuses.
+    junction : float
+        Narrowest section beyond the sinuses: the sinotubular junction [mm].
+    diameter : float
+        There [mm].
+    lobes : float
+        Largest amplitude of the three-lobed wave [mm].
+    line : (n, 3) float64
+        Centre line from the rim on the side of the sinuses [mm].
+    """
+
+    first: bool
+    lower: float
+    upper: float
+    junction: float
+    diameter: float
+    lobes: float
+    line: Floats
+
+    @property
+    def height(self) -> float:
+        """Distance from ``lower`` to ``upper`` [mm]."""
+        return self.upper - self.lower
+
+
+def find_sinuses(mesh: TriMesh, rims: tuple[Ints, Ints]) -> Sinuses:
+    """Find the sinuses of an aortic root from the sections across the centre line.
+
+    Going in from an end the tube widens, narrows (the sinotubular junction), and between the two its sections have three lobes. The
+    amplitude of the third wave of the radius rises and falls steeply at both ends of the sinuses; the places where it passes half
+    of its largest value do not depend on how wide the tube is, nor how large the sinuses are.
+
+    Parameters
+    ----------
+    mesh : TriMesh
+        A tube with two rims, holes filled, branches removed [mm].
+    rims : (n,), (m,) int64
+
+    Raises
+    ------
+    GeometryError
+        If neither end, or both, have a bulge with three lobes.
+    """
+    line = centre_line(mesh, *rims)
+    radius = _median_radius(mesh, rims)
+    found, refusals = [], []
+    for first in (True, False):
+        one = line if first else line[::-1]
+        profile = tube_profile(mesh, one, radius / 25.0, 0.8 * radius)
+        try:
+            found.append(_from_profile(profile, radius, first, one))
+        except GeometryError as error:
+            refusals.append(error.fact)
+    if len(found) != 1:
+        both = "both ends look like an aortic root" if found else f"{refusals[0]}; from the other end: {refusals[1]}"
+        raise GeometryError(
+            f"no sinuses were found: {both}",
+            "check that the scan shows the aortic root, or use trim.ends_at: rims or landmarks",
+        )
+    return found[0]
+
+
+def planes_at_sinuses(sinuses: Sinuses, below: float, length: float | None) -> tuple[EndPlane, EndPlane | None]:
+    """Return the plane below the sinuses and another one farther up, across the centre line, normals out of the tube.
+
+    Parameters
+    ----------
+    sinuses : Sinuses
+    below : float
+        Distance of the first plane below ``lower``, in heights of the sinuses.
+    length : float, optional
+        Distance of the second plane from the first one along the centre line [mm]; beyond its end the line goes on straight.
+
+    Returns
+    -------
+    lower, upper : EndPlane
+        The second is None without a ``length``.
+    """
+    at = sinuses.lower - below * sinuses.height
+    point, tangent = _on_longer_line(sinuses.line, at, sinuses.height)
+    lower = EndPlane(point, -tangent)
+    if length is None:
+        return lower, None
+    return lower, EndPlane(*_on_longer_line(sinuses.line, at + length, 0.5 * sinuses.diameter))
+
+
+def _on_longer_line(line: Floats, at: float, window: float) -> tuple[Floats, Floats]:
+    """Return point and tangent at an arc length; near its ends, where the rims are ragged, and beyond, the line is straight."""
+    total = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
+    inside = float(np.clip(at, 0.35 * window, total - 0.35 * window))
+    point, tangent = point_on_line(line, inside, window)
+    return point + (at - inside) * tangent, tangent
+
+
+def _median_radius(mesh: TriMesh, rims: tuple[Ints, Ints]) -> float:
+    points = [mesh.vertices[rim] for rim in rims]
+    return float(np.median([np.median(np.linalg.norm(p - p.mean(axis=0), axis=1)) for p in points]))
+
+
+def _from_profile(profile: TubeProfile, radius: float, first: bool, line: Floats) -> Sinuses:
+    whole = np.flatnonzero(np.isfinite(profile.diameter) & (profile.at < 2.0 * _REACH * radius))
+    if len(whole) < 10:
+        raise GeometryError("the sections near an end do not close")
+    at, step = profile.at[whole], profile.at[1] - profile.at[0]
+    smooth = 0.08 * radius / step
+    wide = gaussian_filter1d(profile.diameter[whole], smooth, mode="nearest")
+    lobed = gaussian_filter1d(profile.lobes[1][whole], smooth, mode="nearest")
+    peak, valley = _bulge(wide)
+    if peak < 0:
+        raise GeometryError("the tube does not widen and narrow again near its end")
+    top = int(np.argmax(lobed[: valley + 1]))
+    if lobed[top] < _LOBES * wide[valley]:
+        raise GeometryError(
+            f"the wide part has no three lobes (their wave is {lobed[top]:.2f} mm on a diameter of {wide[valley]:.1f} mm)"
+        )
+    half = 0.5 * lobed[top]
+    upper = _crossing(at, lobed, half, top, 1)
+    if not np.isfinite(upper) or upper > at[-1]:
+        raise GeometryError("the three lobes do not end")
+    lower = _crossing(at, lobed, half, top, -1)
+    if not np.isfinite(lower):
+        # the scan ends inside the sinuses: their wave is about symmetric, so its flanks at 80 % tell its middle
+        high = 0.8 * lobed[top]
+        flank = _crossing(at, lobed, high, top, -1)
+        middle = 0.5 * (flank + _crossing(at, lobed, high, top, 1)) if np.isfinite(flank) else float(at[top])
+        lower = 2.0 * middle - upper
+    return Sinuses(first, lower, upper, float(at[valley]), float(wide[valley]), float(lobed[top]), line)
+
+
+def _bulge(wide: Floats) -> tuple[int, int]:
+    """Return the widest place of the first bulge from the start and the narrowest place after it, or (-1, -1)."""
+    peak = 0
+    for k in range(1, len(wide)):
+        if wide[k] > wide[peak]:
+            peak = k
+        elif wide[k] < (1.0 - _BULGE) * wide[peak]:
+            break
+    else:
+        return -1, -1
+    if wide[: peak + 1].min() > (1.0 - _BULGE) * wide[peak]:
+        return -1, -1
+    valley = peak
+    for k in range(peak, len(wide)):
+        if wide[k] < wide[valley]:
+            valley = k
+        elif wide[k] > wide[valley] + 0.25 * (wide[peak] - wide[valley]):
+            break
+    return peak, valley
+
+
+def _crossing(at: Floats, values: Floats, level: float, start: int, side: int) -> float:
+    """Return where ``values`` falls below ``level`` going from ``start``; NaN where it does not."""
+    k = start
+    while 0 <= k + side < len(values):
+        if values[k + side] < level:
+            share = (values[k] - level) / (values[k] - values[k + side])
+            return float(at[k] + share * (at[k + side] - at[k]))
+        k += side
+    return float("nan")

@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ssmpipe.core.align.rigid import apply, move
+from ssmpipe.core.errors import GeometryError
+from ssmpipe.core.mesh.primitives import tube
+from ssmpipe.core.mesh.topology import boundary_loops
+from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.core.repair.sinuses import find_sinuses, planes_at_sinuses
+from ssmpipe.core.repair.tube_ends import openings
+from tests.support.meshes import random_motion, relabeled
+
+MIDDLE, HALF = 12.0, 7.0
+"""Where the wave of the lobes is largest, and how far from there it has half its size [mm]."""
+
+
+def root(size: float, start: float = -6.0, end: float = 60.0, waves: int = 3, width: float = 14.0) -> TriMesh:
+    """Return a straight root: a tube along z whose sections have lobes around the height ``MIDDLE``."""
+    plain = tube(1.0, end - start, 72, int((end - start) / 0.8))
+    angle = np.arctan2(plain.vertices[:, 1], plain.vertices[:, 0])
+    z = plain.vertices[:, 2] + start
+    bell = np.exp(-np.log(2.0) * ((z - MIDDLE) / HALF) ** 2)
+    radius = width + size * bell * (1.0 + 0.6 * np.cos(waves * angle)) + 1.5 / (1.0 + np.exp(-(z - 32.0) / 4.0))
+    return TriMesh(np.column_stack([radius * np.cos(angle), radius * np.sin(angle), z]), plain.faces)
+
+
+def rims(mesh):
+    return openings(mesh, [None, None])
+
+
+@pytest.mark.parametrize(("size", "start", "width"), [(3.0, -6.0, 14.0), (1.2, -3.0, 11.0), (4.0, 2.0, 16.0)])
+def test_the_ends_of_the_lobes_are_found_whatever_their_size(size, start, width):
+    mesh = root(size, start, width=width)
+    found = find_sinuses(mesh, rims(mesh))
+    assert len(boundary_loops(mesh.faces)) == 2
+    assert found.height == pytest.approx(2 * HALF, abs=0.7)
+    lower, upper = planes_at_sinuses(found, 0.35, 50.0)
+    assert lower.point == pytest.approx([0, 0, MIDDLE - 1.7 * HALF], abs=0.6)
+    assert upper is not None
+    assert (upper.point - lower.point)[2] == pytest.approx(50.0, abs=0.2)
+    assert lower.normal == pytest.approx([0, 0, -1], abs=0.03)
+    assert upper.normal == pytest.approx([0, 0, 1], abs=0.03)
+    assert planes_at_sinuses(found, 0.35, None)[1] is None
+
+
+def test_a_scan_that_starts_inside_the_sinuses_is_continued_by_symmetry():
+    mesh = root(3.0, start=MIDDLE - 5.0)
+    lower, _ = planes_at_sinuses(find_sinuses(mesh, rims(mesh)), 0.0, None)
+    assert lower.point[2] == pytest.approx(MIDDLE - HALF, abs=1.2)
+
+
+def test_motion_and_order_move_the_planes_along():
+    mesh = root(2.5)
+    rng = np.random.default_rng(3)
+    motion = random_motion(rng)
+    other, _ = relabeled(move(mesh, motion), rng)
+    for one, two in zip(
+        planes_at_sinuses(find_sinuses(mesh, rims(mesh)), 0.35, 40.0),
+        planes_at_sinuses(find_sinuses(other, rims(other)), 0.35, 40.0),
+        strict=True,
+    ):
+        assert one is not None
+        assert two is not None
+        assert two.point == pytest.approx(apply(motion, one.point[None])[0], abs=1e-6)
+        assert two.normal == pytest.approx(motion[:3, :3] @ one.normal, abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "words"),
+    [(tube(12.0, 60.0), "does not widen"), (root(3.0, waves=2), "no three lobes")],
+    ids=["plain", "oval"],
+)
+def test_what_has_no_sinuses_is_told(mesh, words):
+    with pytest.raises(GeometryError, match=f"no sinuses were found: .*{words}"):
+        find_sinuses(mesh, rims(mesh))
