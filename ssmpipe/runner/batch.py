@@ -248,8 +248,8 @@ def start_child(memory_mb: int | None, noise: str, parent: int) -> None:
             import resource
 
             resource.setrlimit(resource.RLIMIT_AS, (memory_mb * 2**20, memory_mb * 2**20))
-        except ImportError:
-            pass  # no such limit on Windows
+        except (ImportError, ValueError, OSError):
+            pass  # no such limit on Windows; macOS may refuse it
     sink = os.open(noise, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
     for stream in (1, 2):
         os.dup2(sink, stream)
@@ -271,9 +271,14 @@ def die_with(parent: int) -> None:
             os._exit(1)
         return
 
+    origin = multiprocessing.parent_process()
+
     def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(0.2)
+        if origin is not None:
+            origin.join()  # waits for the end of the parent on every system
+        else:
+            while os.getppid() == parent:
+                time.sleep(0.2)
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()

@@ -6,12 +6,14 @@ renamed into place with its manifest in it.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import logging
 import os
 import platform
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -385,14 +387,16 @@ def _reset_peak() -> None:
 
 def peak_rss_mb() -> float | None:
     """Return the largest resident memory since the task began [MB], where the system tells."""
-    try:
+    with contextlib.suppress(OSError):
         for line in Path("/proc/self/status").read_text().splitlines():
             if line.startswith("VmHWM:"):
                 return round(int(line.split()[1]) / 1024, 1)
+    try:
         import resource
-    except (OSError, ImportError):
+    except ImportError:  # Windows
         return None
-    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1)
+    in_bytes = sys.platform == "darwin"  # elsewhere in kB
+    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (2**20 if in_bytes else 1024), 1)
 
 
 def failure_of(error: BaseException, memory_mb: int | None = None) -> tuple[str, str, bool]:
