@@ -12,11 +12,11 @@ from __future__ import annotations
 import argparse
 import logging
 import multiprocessing
-import resource
 import time
 from collections.abc import Callable
 from importlib import import_module
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
 import igl
@@ -147,6 +147,12 @@ def go(stage: str, inputs: Inputs, options: dict[str, Any]) -> tuple[Inputs, lis
     return module.run(**inputs, cfg=module.Config(**options), ctx=ctx), ctx.warnings
 
 
+def peak_memory() -> float:
+    """Return the largest resident memory of this process [GB]; that of getrusage would count its parent before the start."""
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    return int(next(line for line in status.splitlines() if line.startswith("VmHWM")).split()[1]) / 1e6
+
+
 def child(sender: Connection, stage: str, inputs: Inputs, options: dict[str, Any]) -> None:
     logging.disable()
     wall, cpu = time.perf_counter(), time.process_time()
@@ -155,7 +161,7 @@ def child(sender: Connection, stage: str, inputs: Inputs, options: dict[str, Any
         error = ""
     except Exception as failure:  # the table says which cell failed
         error = f"{type(failure).__name__}: {failure}"
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    peak = peak_memory()
     sender.send((time.perf_counter() - wall, time.process_time() - cpu, peak, error))
 
 

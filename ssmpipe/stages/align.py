@@ -5,14 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from ssmpipe.contract import Context, Landmarks, NamesShape, Port, Stage, StageConfig
-from ssmpipe.core.align.icp import IcpResult, Region, align, align_mirrored, fits_better_mirrored
+from ssmpipe.core.align.groupwise import align_group, union
+from ssmpipe.core.align.icp import Ball, IcpResult, Region, align, align_mirrored, fits_better_mirrored
 from ssmpipe.core.align.medoid import medoid
 from ssmpipe.core.align.rigid import move, reflection, rotation_angle
 from ssmpipe.core.arrays import Floats
-from ssmpipe.core.errors import ConfigError
+from ssmpipe.core.errors import ConfigError, LandmarkError
 from ssmpipe.core.mesh.distance import surface_deviation
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.stages._align_outline import OUTLINE
@@ -23,9 +25,10 @@ class Config(StageConfig):
 
     reference: Annotated[
         str,
-        NamesShape(("medoid",)),
+        NamesShape(("medoid", "group")),
         Field(
-            description="Shape to align to: `medoid` (the most central one), a shape id, or a mesh file in the aligned frame."
+            description="What to align to: `medoid` (the most central shape), a shape id, a mesh file in the aligned frame, or `group`: "
+            "all shapes at once, each first moved onto the union of the others, so that none of them is preferred."
         ),
     ] = "medoid"
     start_margin: Annotated[
@@ -64,8 +67,20 @@ class Config(StageConfig):
     ] = None
     region_axis: Annotated[Literal["x", "y", "z"], Field(description="Axis of the aligned frame for `region`.")] = "z"
 
+    region_landmark: Annotated[
+        str | None,
+        Field(
+            description="Landmark of the shape, by name or role, around which it counts, instead of `region`; all of it by default."
+        ),
+    ] = None
+    region_radius_mm: Annotated[
+        float, Field(gt=0, description="Distance from `region_landmark` up to which the shape counts [mm].")
+    ] = 50.0
+
     @model_validator(mode="after")
     def _region_rises(self) -> Config:
+        if self.region is not None and self.region_landmark is not None:
+            raise ValueError("region and region_landmark exclude each other")
         if self.region is not None and not 0 <= self.region[0] < self.region[1] <= 1:
             raise ValueError("region must rise and lie between 0 and 1")
         return self
@@ -74,15 +89,30 @@ class Config(StageConfig):
 def prepare(inputs: dict[str, dict[str, Any]], *, cfg: Config, ctx: Context) -> dict[str, Any]:
     """Choose the reference among the shapes of the cohort."""
     meshes = {shape_id: slots["mesh"] for shape_id, slots in sorted(inputs.items())}
+    if cfg.reference == "group":
+        return {"reference": _group(meshes, ctx)}
     if cfg.reference != "medoid" and cfg.reference not in meshes:
         some = ", ".join(list(meshes)[:5]) + (", ..." if len(meshes) > 5 else "")
         raise ConfigError(
             f"align.reference: there is no shape '{cfg.reference}'; the cohort has {some}",
-            "use one of these ids, medoid, or a file",
+            "use one of these ids, medoid, group, or a file",
         )
     chosen = medoid(meshes) if cfg.reference == "medoid" else cfg.reference
     ctx.metric("reference", chosen)
     return {"reference": meshes[chosen]}
+
+
+def _group(meshes: dict[str, TriMesh], ctx: Context) -> TriMesh:
+    found = align_group(meshes)
+    turned = found.history["turned_deg"]
+    ctx.metric("reference", "group")
+    ctx.metric("group_rounds", found.n_iterations)
+    ctx.metric("group_turned_deg", [round(float(t), 3) for t in turned])
+    if found.status != "converged":
+        ctx.warn(
+            f"the group still turned by {turned[-1]:.2f} degrees in round {found.n_iterations}; that is the precision of its poses"
+        )
+    return union(meshes, found.value)
 
 
 def run(
@@ -97,9 +127,11 @@ def run(
     """Align one shape; see :func:`ssmpipe.core.align.icp.align`."""
     marks = landmarks if landmarks is not None else Landmarks()
     region = None if cfg.region is None else Region("xyz".index(cfg.region_axis), *cfg.region)
-    result = align(mesh, reference, margin=cfg.start_margin, n_points=cfg.n_points, region=region)
+    ball = _ball(marks, cfg)
+    result = align(mesh, reference, margin=cfg.start_margin, n_points=cfg.n_points, region=region, ball=ball)
     if cfg.chirality == "best-fit":
-        mesh, marks, transform, result = _better_image(mesh, marks, transform, reference, result, region, cfg, ctx)
+        other = align_mirrored(mesh, reference, result, n_points=cfg.n_points, region=region, ball=ball)
+        mesh, marks, transform, result = _better_image(mesh, marks, transform, result, other, cfg, ctx)
     aligned = move(mesh, result.matrix)
     ctx.metric("rms_mm", surface_deviation(aligned, reference, n_samples=5000).rms)
     ctx.metric("cost_mm", result.cost)
@@ -116,7 +148,7 @@ def run(
             f"{result.identity_cost:.3g}, turned {rotation_angle(result.matrix):.0f} degrees); check the frame of this shape"
         )
     if cfg.check_mirror and cfg.chirality == "keep":
-        better, mirrored = fits_better_mirrored(mesh, reference, result)
+        better, mirrored = fits_better_mirrored(mesh, reference, result, region=region, ball=ball)
         ctx.metric("mirrored_cost_mm", mirrored)
         if better:
             ctx.warn(
@@ -126,18 +158,29 @@ def run(
     return {"mesh": aligned, "landmarks": marks.transformed(result.matrix), "transform": result.matrix @ transform}
 
 
+def _ball(marks: Landmarks, cfg: Config) -> Ball | None:
+    if cfg.region_landmark is None:
+        return None
+    center = marks.role(cfg.region_landmark)
+    if center is None:
+        names = ", ".join(f"'{name}'" for name in sorted(marks.points)[:5]) or "none"
+        raise LandmarkError(
+            f"there is no landmark or role '{cfg.region_landmark}' (align.region_landmark); this shape has {names}",
+            "add it to the landmark file, or use align.region",
+        )
+    return Ball(np.asarray(center), cfg.region_radius_mm)
+
+
 def _better_image(
     mesh: TriMesh,
     marks: Landmarks,
     transform: Floats,
-    reference: TriMesh,
     result: IcpResult,
-    region: Region | None,
+    other: IcpResult,
     cfg: Config,
     ctx: Context,
 ) -> tuple[TriMesh, Landmarks, Floats, IcpResult]:
     """Mirror a shape when its mirror image fits better; say so, and warn when neither is clearly better."""
-    other = align_mirrored(mesh, reference, result, n_points=cfg.n_points, region=region)
     mirrored = other.cost < result.cost
     best, worst = sorted((result.cost, other.cost))
     ctx.metric("mirrored", mirrored)

@@ -9,9 +9,10 @@ from pydantic import ValidationError
 from ssmpipe.contract import Context, Landmarks, ShapeInfo
 from ssmpipe.core.align.rigid import apply, move, reflection, rotation_angle
 from ssmpipe.core.errors import ConfigError, LandmarkError, TopologyError
+from ssmpipe.core.mesh.distance import point_to_mesh
 from ssmpipe.core.mesh.operators import volume
 from ssmpipe.core.mesh.primitives import sphere, star_shape, torus, tube
-from ssmpipe.core.mesh.topology import boundary_loops, euler_characteristic
+from ssmpipe.core.mesh.topology import boundary_loops, euler_characteristic, face_components
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.stages import align, decimate, fit, orient, parameterize, repair, sample, smooth, trim
 from tests.support.femora import DATA, femur, landmark, needs_femora, needs_vertebrae, read, sides
@@ -216,6 +217,29 @@ class TestAlign:
         assert self.prepared(reference="c")[1] == "c"
         with pytest.raises(ConfigError, match=r"there is no shape 'd'; the cohort has a, b, c"):
             self.prepared(reference="d")
+
+    def test_the_group_itself_can_be_the_reference(self):
+        union, name = self.prepared(reference="group")
+        assert name == "group"
+        assert face_components(union.faces).max() == 2  # three shapes, each of its size
+        assert np.abs(union.vertices).max() == pytest.approx(1.2 * np.abs(star_shape(3).vertices).max(), rel=0.05)
+
+    def test_a_landmark_restricts_the_fit(self):
+        lump = star_shape(3)
+        reference = TriMesh(lump.vertices * [1.0, 1.0, 1.1], lump.faces)
+        marks = Landmarks({"foot": np.array([0.0, 0.0, -30.0])}, {"trim": "foot"})
+        inputs = {"mesh": lump, "landmarks": marks, "transform": np.eye(4), "reference": reference}
+        part = {"region_landmark": "trim", "region_radius_mm": 25.0}
+        found = [go(align, **inputs, options={"check_mirror": False, **o})[0] for o in ({}, part)]
+        foot = [TriMesh(o["mesh"].vertices, lump.faces).vertices[lump.vertices[:, 2] < -25.0] for o in found]
+        away = [np.sqrt((point_to_mesh(points, reference)[0] ** 2).mean()) for points in foot]
+        assert away[1] < 0.5 * away[0]
+        with pytest.raises(
+            LandmarkError, match=r"no landmark or role 'head' \(align\.region_landmark\); this shape has 'foot'"
+        ):
+            go(align, **inputs, options={"region_landmark": "head"})
+        with pytest.raises(ValidationError, match="exclude each other"):
+            align.Config(region=(0.0, 0.5), region_landmark="trim")
 
     def test_pose_is_undone_and_reported(self):
         reference, _ = self.prepared()

@@ -52,6 +52,37 @@ class Region:
 
 
 @dataclass(frozen=True, eq=False)
+class Ball:
+    """The part of a surface within a radius of a point."""
+
+    center: Floats
+    radius: float
+
+    def contains(self, points: Floats, vertices: Floats) -> Bools:
+        """Say which points lie in the ball; ``vertices`` are those of the surface.
+
+        Raises
+        ------
+        GeometryError
+            If fewer than a hundredth of the points do.
+        """
+        inside = ((points - self.center) ** 2).sum(axis=1) <= self.radius**2
+        if inside.mean() < 0.01:
+            x, y, z = self.center
+            nearest = float(np.sqrt(((vertices - self.center) ** 2).sum(axis=1).min()))
+            raise GeometryError(
+                f"within {self.radius:g} mm of the landmark at ({x:.1f}, {y:.1f}, {z:.1f}) mm lies {100 * inside.mean():.1f} % of the "
+                f"surface, which is {nearest:.1f} mm away",
+                "raise align.region_radius_mm, or check the landmark",
+            )
+        return np.asarray(inside)
+
+    def moved(self, matrix: Floats) -> Ball:
+        """Return the ball after a rigid motion or reflection."""
+        return Ball(apply(matrix, self.center[None])[0], self.radius)
+
+
+@dataclass(frozen=True, eq=False)
 class PointSurface:
     """Points spread over a surface with their normals and a search tree, made once per mesh.
 
@@ -69,7 +100,7 @@ class PointSurface:
     active: Bools | None = None
 
     @classmethod
-    def of(cls, mesh: TriMesh, n_points: int, region: Region | None = None) -> PointSurface:
+    def of(cls, mesh: TriMesh, n_points: int, region: Region | Ball | None = None) -> PointSurface:
         """Sample a mesh, uniformly in area and the same way every time."""
         points, face, _ = sample_surface(mesh, n_points)
         active = None if region is None else region.contains(points, mesh.vertices)
@@ -189,7 +220,8 @@ def align(
     margin: float = 0.1,
     n_refined: int = 4,
     n_points: int = 5000,
-    region: Region | None = None,
+    region: Region | Ball | None = None,
+    ball: Ball | None = None,
 ) -> IcpResult:
     """Move a surface rigidly onto another, whatever its pose.
 
@@ -206,14 +238,20 @@ def align(
         Screened results that are refined.
     n_points : int
         Sample points per surface.
-    region : Region, optional
+    region : Region or Ball, optional
         Part of the target that counts; what lies nearest to the rest of it is left out (shafts of different length).
+    ball : Ball, optional
+        Instead: part of the source that counts, around a landmark of its own.
 
     Returns
     -------
     IcpResult
         The determinant of the rotation is +1 always.
     """
+    if ball is not None:
+        # the same distances count both ways: move the target onto the source, and turn that around
+        back = align(target, source, margin=margin, n_refined=n_refined, n_points=n_points, region=ball)
+        return replace(back, matrix=_inverse(back.matrix))
     few, some, all_points = (
         (PointSurface.of(source, n), PointSurface.of(target, n, region))
         for n in (min(400, n_points), min(1200, n_points), n_points)
@@ -222,7 +260,11 @@ def align(
     matrix, n_iterations, converged = refine(*all_points, unmoved)
     identity_cost = cost(*all_points, matrix)
     best = IcpResult(matrix, identity_cost, "identity", n_iterations, converged, identity_cost)
-    screened = [screen(*few, start) for start in (unmoved, *axis_starts(source, target))]
+    starts = [unmoved, *axis_starts(source, target)]
+    if isinstance(region, Ball):
+        # the rest of both shapes may differ in length: their middles need not match
+        starts, n_refined = starts + _slid(starts[1:], target), 2 * n_refined
+    screened = [screen(*few, start) for start in starts]
     order = np.argsort([c for _, c in screened], kind="stable")[:n_refined]
     candidates = [(refine(*some, screened[k][0])[0], int(k)) for k in order]
     found, k = min(candidates, key=lambda c: (cost(*all_points, c[0]), c[1]))
@@ -237,18 +279,31 @@ def align(
 
 
 def fits_better_mirrored(
-    source: TriMesh, target: TriMesh, result: IcpResult, *, margin: float = 0.05
+    source: TriMesh,
+    target: TriMesh,
+    result: IcpResult,
+    *,
+    margin: float = 0.05,
+    n_points: int = 5000,
+    region: Region | None = None,
+    ball: Ball | None = None,
 ) -> tuple[bool, float]:
     """Say whether the mirror image of an aligned shape fits clearly better, and its cost [mm].
 
     A sign of a wrong left/right label.
     """
-    mirrored = align_mirrored(source, target, result)
+    mirrored = align_mirrored(source, target, result, n_points=n_points, region=region, ball=ball)
     return mirrored.cost < (1.0 - margin) * result.cost, mirrored.cost
 
 
 def align_mirrored(
-    source: TriMesh, target: TriMesh, result: IcpResult, *, n_points: int = 5000, region: Region | None = None
+    source: TriMesh,
+    target: TriMesh,
+    result: IcpResult,
+    *,
+    n_points: int = 5000,
+    region: Region | None = None,
+    ball: Ball | None = None,
 ) -> IcpResult:
     """Align the mirror image of an aligned shape; the matrix has determinant -1 and moves the shape as it was given.
 
@@ -263,7 +318,8 @@ def align_mirrored(
     placed = move(source, result.matrix)
     center = surface_centroid(placed)
     flip = homogeneous(np.eye(3), center) @ reflection(0) @ homogeneous(np.eye(3), -center)
-    mirrored = align(move(placed, flip), target, n_points=n_points, region=region)
+    other = None if ball is None else ball.moved(flip @ result.matrix)
+    mirrored = align(move(placed, flip), target, n_points=n_points, region=region, ball=other)
     return replace(mirrored, matrix=mirrored.matrix @ flip @ result.matrix)
 
 
@@ -280,6 +336,14 @@ def _pairs(source: PointSurface, target: PointSurface, matrix: Floats) -> tuple[
     points = np.vstack([forth, moved[back]])
     goals = np.vstack([target.points[there], seen])
     return points, goals, np.vstack([target.normals[there], turned[back]])
+
+
+def _slid(starts: list[Floats], target: TriMesh) -> list[Floats]:
+    """Return starts moved along the first principal axis of the target by shares of its extent."""
+    axis = principal_axes(target)[0][0]
+    extent = float(np.ptp(target.vertices @ axis))
+    shifts = [homogeneous(np.eye(3), share * extent * axis) for share in (-0.3, -0.15, 0.15, 0.3)]
+    return [shift @ start for shift in shifts for start in starts]
 
 
 def _inverse(matrix: Floats) -> Floats:

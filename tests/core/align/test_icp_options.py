@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ssmpipe.core.align.icp import PointSurface, Region, align, align_mirrored, refine
+from ssmpipe.core.align.icp import Ball, PointSurface, Region, align, align_mirrored, refine
 from ssmpipe.core.align.proximal_femur import analyze_proximal_femur
 from ssmpipe.core.align.rigid import move, reflection, rotation_angle
 from ssmpipe.core.errors import GeometryError
@@ -41,6 +41,23 @@ def test_a_region_makes_the_length_of_the_shaft_indifferent():
         GeometryError, match=r"the region from 0\.3 to 0\.3 of the reference holds 0\.0 %.*widen align\.region"
     ):
         align(long, short, region=Region(2, 0.3, 0.3))
+
+
+def test_a_ball_around_a_landmark_makes_the_length_of_the_shaft_indifferent():
+    long, short = with_shaft(150.0), with_shaft(70.0)
+    motion = random_motion(np.random.default_rng(0), shift=5.0)
+    center = np.array([0.0, 0.0, 0.0])
+    ball = Ball(center, 60.0).moved(motion)
+    assert ball.center == pytest.approx(motion[:3, 3])
+    found = align(move(long, motion), short, ball=ball)
+    part = found.matrix @ motion
+    assert rotation_angle(part) < 0.1
+    assert np.abs(part[:3, 3]).max() < 0.1
+    with pytest.raises(
+        GeometryError,
+        match=r"within 5 mm of the landmark at \(300\.0, 0\.0, 0\.0\) mm lies 0\.0 % of the surface, which is .*region_radius_mm",
+    ):
+        align(long, short, ball=Ball(np.array([300.0, 0, 0]), 5.0))
 
 
 def test_the_mirror_image_moves_the_shape_as_it_was_given():
