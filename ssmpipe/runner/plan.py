@@ -124,6 +124,7 @@ def make_plan(steps: Sequence[Step], source: Mapping[str, str]) -> Plan:
     for number, step in enumerate(steps, start=1):
         stage = step.stage
         inputs: dict[str, Producer | None] = {}
+        files = dict(step.files)
         ready = {port.slot: port.kind for port in stage.prepared}
         for port in stage.inputs:
             if port.slot in ready:
@@ -138,6 +139,9 @@ def make_plan(steps: Sequence[Step], source: Mapping[str, str]) -> Plan:
                 text = f"stage '{step.id}' reads '{port.slot}' as {port.kind}, but '{maker.step}' makes it as {kind}"
                 problems.append((step.id, text))
             inputs[port.slot] = found[-1][0] if found else None
+            if found and found[-1][0].prepared:
+                maker_step = next(p for p in planned if p.id == found[-1][0].step)
+                files |= {port.slot: maker_step.files[port.slot]} if port.slot in maker_step.files else {}
         planned.append(
             PlannedStep(
                 number=number,
@@ -150,9 +154,11 @@ def make_plan(steps: Sequence[Step], source: Mapping[str, str]) -> Plan:
                 kinds={port.slot: port.kind for port in stage.inputs},
                 outputs=stage.outputs,
                 prepared=stage.prepared,
-                files=dict(step.files),
+                files=files,
             )
         )
+        for port in stage.prepared:
+            made.setdefault(port.slot, []).append((Producer(step.id, "cohort", prepared=True), port.kind))
         for port in stage.outputs:
             made.setdefault(port.slot, []).append((Producer(step.id, stage.scope), port.kind))
     if problems:

@@ -51,7 +51,7 @@ PRESETS: Mapping[str, Preset] = {
                 ("smooth", {}),
                 ("decimate", {}),
                 ("align", {}),
-                ("parameterize", {}),
+                ("parameterize", {"places": "own"}),
                 ("sample", {}),
                 ("fit", {}),
                 *_GROUP,

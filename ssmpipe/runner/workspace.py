@@ -204,7 +204,7 @@ def forecast(
             if slot in step.files:
                 continue
             if producer.prepared:
-                keys = [(step.id, "*")]
+                keys = [(producer.step, "*")]
             elif producer.scope == "cohort":
                 keys = [(producer.step, "")]
             else:

@@ -7,9 +7,10 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from ssmpipe.contract import Context, Landmarks, NamesShape, Port, Stage, StageConfig
+from ssmpipe.core.align.rigid import reflection
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.errors import ConfigError, GeometryError
-from ssmpipe.core.outline.align import align_outline, medoid_outline, move_outline
+from ssmpipe.core.outline.align import OutlineFit, align_outline, medoid_outline, mirror_outline, move_outline
 from ssmpipe.core.outline.outline import Outline, start_at
 
 
@@ -33,6 +34,25 @@ class Config(StageConfig):
             description="First point of closed outlines. match: all are tried, unless a landmark has the role `start`; keep: as it is."
         ),
     ] = "match"
+    check_mirror: Annotated[
+        bool, Field(description="Warn when the mirror image fits clearly better (left and right are mixed).")
+    ] = True
+    chirality: Annotated[
+        Literal["keep", "best-fit"],
+        Field(
+            description="keep: no outline is mirrored. best-fit: where left and right are mixed, an outline is mirrored when its mirror "
+            "image fits the reference better."
+        ),
+    ] = "keep"
+    chirality_margin: Annotated[
+        float,
+        Field(
+            ge=0,
+            lt=1,
+            description="Share of the distance by which the better of both images must win; else a warning with best-fit, and none with "
+            "keep [-].",
+        ),
+    ] = 0.2
 
 
 def prepare(inputs: dict[str, dict[str, Any]], *, cfg: Config, ctx: Context) -> dict[str, Any]:
@@ -73,6 +93,12 @@ def run(
     marks = landmarks if landmarks is not None else Landmarks()
     keep = cfg.start == "keep" or _has_start(marks)
     fit = align_outline(contour, reference, n=cfg.n_points, keep_start=keep)
+    if cfg.chirality == "best-fit" or cfg.check_mirror:
+        mirrored = mirror_outline(contour)
+        other = align_outline(mirrored, reference, n=cfg.n_points, keep_start=keep)
+        if _mirrored_wins(fit, other, cfg, ctx):
+            flip = reflection(0)
+            contour, marks, transform, fit = mirrored, marks.transformed(flip), flip @ transform, other
     aligned = move_outline(contour, fit.matrix)
     if aligned.closed and not keep:
         aligned = start_at(aligned, fit.start)
@@ -82,10 +108,32 @@ def run(
     return {"contour": aligned, "landmarks": marks.transformed(fit.matrix), "transform": fit.matrix @ transform}
 
 
+def _mirrored_wins(fit: OutlineFit, other: OutlineFit, cfg: Config, ctx: Context) -> bool:
+    """Say whether the mirror image is to be taken, and warn where that is open."""
+    best, worst = sorted((fit.rms, other.rms))
+    clear = best < (1.0 - cfg.chirality_margin) * worst
+    ctx.metric("other_image_rms_mm", other.rms)
+    if cfg.chirality == "keep":
+        if clear and other.rms < fit.rms:
+            ctx.warn(
+                f"the outline fits better mirrored (distance {other.rms:.3g} instead of {fit.rms:.3g}); if left and right are mixed, set "
+                "align.chirality: best-fit"
+            )
+        return False
+    wins = other.rms < fit.rms
+    ctx.metric("mirrored", wins)
+    if not clear:
+        ctx.warn(
+            f"left and right fit almost alike (distance {best:.3g} and {worst:.3g}); it was {'' if wins else 'not '}mirrored: check the "
+            "picture"
+        )
+    return wins
+
+
 OUTLINE = Stage(
     name="align",
     scope="shape",
-    version=1,
+    version=2,
     config=Config,
     run=run,
     inputs=(
@@ -95,7 +143,7 @@ OUTLINE = Stage(
         Port("reference", "outline"),
     ),
     outputs=(Port("contour", "outline"), Port("landmarks", "landmarks"), Port("transform", "transform")),
-    methods="Outlines were aligned rigidly, without reflection, to one reference ({reference}) by equal arc lengths from the best "
+    methods="Outlines were aligned rigidly (chirality: {chirality}) to one reference ({reference}) by equal arc lengths from the best "
     "of {n_points} starting points.",
     cites=("li2015",),
     prepare=prepare,

@@ -131,7 +131,7 @@ def run(
     result = align(mesh, reference, margin=cfg.start_margin, n_points=cfg.n_points, region=region, ball=ball)
     if cfg.chirality == "best-fit":
         other = align_mirrored(mesh, reference, result, n_points=cfg.n_points, region=region, ball=ball)
-        mesh, marks, transform, result = _better_image(mesh, marks, transform, result, other, cfg, ctx)
+        mesh, marks, transform, result = _better_image(mesh, marks, transform, reference, result, other, cfg, ctx)
     aligned = move(mesh, result.matrix)
     ctx.metric("rms_mm", surface_deviation(aligned, reference, n_samples=5000).rms)
     ctx.metric("cost_mm", result.cost)
@@ -175,6 +175,7 @@ def _better_image(
     mesh: TriMesh,
     marks: Landmarks,
     transform: Floats,
+    reference: TriMesh,
     result: IcpResult,
     other: IcpResult,
     cfg: Config,
@@ -182,7 +183,9 @@ def _better_image(
 ) -> tuple[TriMesh, Landmarks, Floats, IcpResult]:
     """Mirror a shape when its mirror image fits better; say so, and warn when neither is clearly better."""
     mirrored = other.cost < result.cost
-    best, worst = sorted((result.cost, other.cost))
+    # what fits to rounding fits alike
+    rounding = 1e-6 * float(np.linalg.norm(np.ptp(reference.vertices, axis=0)))
+    best, worst = (cost + rounding for cost in sorted((result.cost, other.cost)))
     ctx.metric("mirrored", mirrored)
     ctx.metric("other_image_cost_mm", worst)
     if best > (1.0 - cfg.chirality_margin) * worst:
@@ -200,7 +203,7 @@ def _better_image(
 STAGE = Stage(
     name="align",
     scope="shape",
-    version=1,
+    version=2,
     config=Config,
     run=run,
     inputs=(

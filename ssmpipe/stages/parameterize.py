@@ -8,6 +8,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ssmpipe.contract import Context, Landmarks, Port, Stage, StageConfig
+from ssmpipe.core.align.affine_icp import affine_onto
+from ssmpipe.core.align.rigid import apply
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.errors import ConfigError, LandmarkError, TopologyError
 from ssmpipe.core.mesh.topology import euler_characteristic
@@ -88,6 +90,13 @@ class Config(StageConfig):
             description="Coefficients of the monotone changes of u and of v that end a map with poles; 0 makes none [count].",
         ),
     ] = 10
+    places: Annotated[
+        Literal["reference", "own"],
+        Field(
+            description="Poles and corners where no landmarks have these roles. reference: those of the reference of align, carried to "
+            "every shape by an affine registration; own: each shape's own. Without a reference each shape has its own."
+        ),
+    ] = "reference"
     seam_direction: Annotated[
         Vector,
         Field(
@@ -114,9 +123,17 @@ class Config(StageConfig):
 
 
 def run(
-    mesh: TriMesh, landmarks: Landmarks | None = None, seam: Seam | None = None, *, cfg: Config, ctx: Context
+    mesh: TriMesh,
+    landmarks: Landmarks | None = None,
+    seam: Seam | None = None,
+    reference: TriMesh | None = None,
+    *,
+    cfg: Config,
+    ctx: Context,
 ) -> dict[str, Any]:
     """Parameterize one shape by its corners, its seam or its poles."""
+    if cfg.places == "own":
+        reference = None
     topology = cfg.topology
     if topology == "auto":
         topology = "disk" if seam is None else seam.topology
@@ -126,14 +143,14 @@ def run(
         )
     ctx.metric("topology", topology)
     if topology == "disk":
-        return _square(mesh, landmarks, cfg, ctx)
+        return _square(mesh, landmarks, reference, cfg, ctx)
     if topology == "tube":
         if seam is None or seam.topology != "tube":
             raise TopologyError(
                 "a tube must be cut open before it is parameterized", "put the stage cut before parameterize"
             )
         return _tube(mesh, seam, cfg, ctx)
-    return _poles(mesh, landmarks if landmarks is not None else Landmarks(), topology, cfg, ctx)
+    return _poles(mesh, landmarks if landmarks is not None else Landmarks(), reference, topology, cfg, ctx)
 
 
 def _tube(mesh: TriMesh, seam: Seam, cfg: Config, ctx: Context) -> dict[str, Any]:
@@ -161,40 +178,37 @@ def _report(result: Result[Floats], mesh: TriMesh, cfg: Config, ctx: Context) ->
 
 
 def _poles(
-    mesh: TriMesh, marks: Landmarks, topology: Literal["cone", "closed"], cfg: Config, ctx: Context
+    mesh: TriMesh,
+    marks: Landmarks,
+    reference: TriMesh | None,
+    topology: Literal["cone", "closed"],
+    cfg: Config,
+    ctx: Context,
 ) -> dict[str, Any]:
     """See :func:`ssmpipe.core.parameterize.cone.parameterize_poles`."""
     apex, seam_point = marks.role("apex"), marks.role("seam")
     antapex = marks.role("antapex") if topology == "closed" else None
-    ctx.metric("apex_from", "geometry" if apex is None else "landmark")
+    ctx.metric("apex_from", "landmark" if apex is not None else "geometry" if reference is None else "reference")
     ctx.metric("seam_from", "direction" if seam_point is None else "landmark")
     if topology == "closed" and (apex is None) != (antapex is None):
         raise LandmarkError(
             f"a closed surface needs both poles; missing: {'apex' if apex is None else 'antapex'}",
             "assign the missing one in input.roles, or none of the two to let geometry decide",
         )
-    if apex is None and topology == "cone":
-        apex = apex_of(mesh)
-    elif apex is None:
-        antapex, apex, factor, cosine = ends_of(mesh, np.array(cfg.pole_direction))
-        ctx.metric("long_axis_factor", factor)
-        if factor < 1.1:
-            ctx.warn(
-                f"the surface has no distinct longest way (the next one is within {100 * (factor - 1):.0f} %), so its poles are nearly "
-                "arbitrary; assign landmarks to apex and antapex"
-            )
-        if cosine < 0.3:
-            ctx.warn(
-                "the poles lie across parameterize.pole_direction, so which one is the apex is nearly arbitrary; set the direction along "
-                "the surface, or assign landmarks to apex and antapex"
-            )
+    if apex is not None and seam_point is not None:
+        reference = None
+    onto = np.eye(4) if reference is None else affine_onto(reference, mesh)
+    if apex is None:
+        poles = apply(onto, _own_poles(mesh if reference is None else reference, topology, cfg, ctx))
+        antapex, apex = (None if topology == "cone" else poles[0]), poles[-1]
     assert apex is not None
     found = parameterize_poles(
         mesh,
         apex,
         antapex,
         seam_point=seam_point,
-        seam_direction=np.array(cfg.seam_direction),
+        # heights along the direction where the shape lies on the reference
+        seam_direction=np.linalg.inv(onto[:3, :3]).T @ np.array(cfg.seam_direction),
         eta=cfg.eta,
         max_iterations=cfg.max_iterations,
         n_remap=cfg.n_remap,
@@ -223,9 +237,30 @@ def _poles(
     return {"mesh": found.mesh, "uv": found.uv, "seam": found.seam}
 
 
-def _square(mesh: TriMesh, landmarks: Landmarks | None, cfg: Config, ctx: Context) -> dict[str, Any]:
+def _own_poles(mesh: TriMesh, topology: Literal["cone", "closed"], cfg: Config, ctx: Context) -> Floats:
+    """Return the apex, (1, 3), or antapex and apex, (2, 3), that geometry tells."""
+    if topology == "cone":
+        return apex_of(mesh)[None]
+    antapex, apex, factor, cosine = ends_of(mesh, np.array(cfg.pole_direction))
+    ctx.metric("long_axis_factor", factor)
+    if factor < 1.1:
+        ctx.warn(
+            f"the surface has no distinct longest way (the next one is within {100 * (factor - 1):.0f} %), so its poles are nearly "
+            "arbitrary; assign landmarks to apex and antapex"
+        )
+    if cosine < 0.3:
+        ctx.warn(
+            "the poles lie across parameterize.pole_direction, so which one is the apex is nearly arbitrary; set the direction along "
+            "the surface, or assign landmarks to apex and antapex"
+        )
+    return np.array([antapex, apex])
+
+
+def _square(
+    mesh: TriMesh, landmarks: Landmarks | None, reference: TriMesh | None, cfg: Config, ctx: Context
+) -> dict[str, Any]:
     """See :func:`ssmpipe.core.parameterize.stretch.parameterize_square`."""
-    wanted, source = _wanted_corners(mesh, landmarks, cfg, ctx)
+    wanted, source = _wanted_corners(mesh, landmarks, reference, cfg, ctx)
     with_corners, corners, away = insert_corners(mesh, wanted)
     disk = split_chords(with_corners)
     ordered = order_corners(rim_of(disk), corners)
@@ -242,7 +277,9 @@ def _square(mesh: TriMesh, landmarks: Landmarks | None, cfg: Config, ctx: Contex
     return {"mesh": disk, "uv": result.value, "seam": None}
 
 
-def _wanted_corners(mesh: TriMesh, landmarks: Landmarks | None, cfg: Config, ctx: Context) -> tuple[Floats, str]:
+def _wanted_corners(
+    mesh: TriMesh, landmarks: Landmarks | None, reference: TriMesh | None, cfg: Config, ctx: Context
+) -> tuple[Floats, str]:
     given = [landmarks.role(role) if landmarks is not None else None for role in ROLES]
     missing = [role for role, point in zip(ROLES, given, strict=True) if point is None]
     if not missing:
@@ -252,6 +289,14 @@ def _wanted_corners(mesh: TriMesh, landmarks: Landmarks | None, cfg: Config, ctx
             f"the square needs all four corners; missing: {', '.join(missing)}",
             "assign the missing ones in input.roles, or none of the four to let geometry decide",
         )
+    if reference is not None:
+        corners = _own_corners(reference, cfg, ctx)
+        return apply(affine_onto(reference, mesh), corners), "reference"
+    return _own_corners(mesh, cfg, ctx), cfg.corner_axes
+
+
+def _own_corners(mesh: TriMesh, cfg: Config, ctx: Context) -> Floats:
+    """Return the four places of the rim that geometry tells."""
     rim = rim_of(mesh)
     axes, ratio = rim_axes(mesh, rim) if cfg.corner_axes == "rim" else (np.eye(3)[:2], np.inf)
     if cfg.corner_axes == "aligned":
@@ -266,19 +311,20 @@ def _wanted_corners(mesh: TriMesh, landmarks: Landmarks | None, cfg: Config, ctx
             f"the rim is nearly round (its axes differ by {100 * (ratio - 1):.0f} %), so its principal axes are arbitrary; "
             "assign landmarks to corner_1 to corner_4, or use corner_axes: aligned"
         )
-    return corners_by_angle(mesh, rim, cfg.corner_angles_deg, axes), cfg.corner_axes
+    return corners_by_angle(mesh, rim, cfg.corner_angles_deg, axes)
 
 
 STAGE = Stage(
     name="parameterize",
     scope="shape",
-    version=2,
+    version=3,
     config=Config,
     run=run,
     inputs=(
         Port("mesh", "trimesh"),
         Port("landmarks", "landmarks", optional=True),
         Port("seam", "seam", optional=True),
+        Port("reference", "trimesh", optional=True),
     ),
     outputs=(Port("mesh", "trimesh"), Port("uv", "uv"), Port("seam", "seam", optional=True)),
     methods="Surfaces were mapped to the unit square ({weighting} weights, boundary by arc length between four corners) and their "

@@ -128,3 +128,15 @@ def test_selection() -> None:
     assert [s.id for s in select(plan, first="two")] == ["two", "three"]
     assert [s.id for s in select(plan, last="two")] == ["one", "two"]
     assert [s.id for s in select(plan, only=["three", "one"])] == ["one", "three"]
+
+
+def test_what_a_stage_prepared_can_be_read_later_from_the_same_file() -> None:
+    first = stage("one", "mesh", "mesh", prepared="common")
+    first = Step("one", first.stage, files={"common": ("digest", "/file.ply")})
+    plan = make_plan([first, stage("two", "mesh common?", "uv")], SCANS)
+    producer = plan.step("two").inputs["common"]
+    assert producer == Producer("one", "cohort", prepared=True)
+    assert plan.step("two").files == {"common": ("digest", "/file.ply")}
+    assert not plan.step("two").prepares
+    alone = make_plan([stage("two", "mesh common?", "uv")], SCANS)
+    assert alone.step("two").inputs["common"] is None

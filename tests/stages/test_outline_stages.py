@@ -10,6 +10,7 @@ import pytest
 
 from ssmpipe.contract import Context, Landmarks
 from ssmpipe.core.errors import ConfigError, GeometryError
+from ssmpipe.core.outline.align import mirror_outline
 from ssmpipe.core.outline.distance import point_to_segments
 from ssmpipe.core.outline.outline import Outline
 from ssmpipe.core.spline.fit_curve import curve_points
@@ -115,6 +116,27 @@ class TestAlign:
         marks = Landmarks({"start": moved.points[0]})
         made, _ = go(_align_outline, contour=moved, transform=np.eye(4), reference=egg(400, shift=123), landmarks=marks)
         np.testing.assert_allclose(made["contour"].points[0], made["landmarks"].points["start"])
+
+    def test_left_and_right_are_told_apart_and_the_transform_leads_back(self) -> None:
+        reference, moved = egg(400), egg(400, turn=2.0, shift=123, at=(50, -20))
+        flipped = mirror_outline(moved)
+        kept, ctx = go(_align_outline, contour=flipped, transform=np.eye(4), reference=reference)
+        assert "fits better mirrored" in ctx.warnings[0]
+        assert np.linalg.det(kept["transform"]) == pytest.approx(1.0)
+        marks = Landmarks({"tip": flipped.points[0]})
+        options = {"chirality": "best-fit"}
+        made, ctx = go(
+            _align_outline, contour=flipped, transform=np.eye(4), reference=reference, landmarks=marks, options=options
+        )
+        assert ctx.metrics["mirrored"]
+        assert not ctx.warnings
+        assert ctx.metrics["rms_mm"] < 0.1
+        assert made["contour"].signed_area > 0
+        assert np.linalg.det(made["transform"]) == pytest.approx(-1.0)
+        back = made["landmarks"].transformed(np.linalg.inv(made["transform"])).points["tip"]
+        np.testing.assert_allclose(back, marks.points["tip"])
+        made, ctx = go(_align_outline, contour=moved, transform=np.eye(4), reference=reference, options=options)
+        assert not ctx.metrics["mirrored"]
 
     def test_the_reference_is_the_medoid_or_named(self) -> None:
         inputs = {f"s{k}": {"contour": egg(long=26.0 + 2 * k, turn=k), "landmarks": None} for k in range(5)}

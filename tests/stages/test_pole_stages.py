@@ -9,6 +9,7 @@ from pydantic import ValidationError
 from ssmpipe.contract import Context, Landmarks
 from ssmpipe.core.errors import ConfigError, LandmarkError
 from ssmpipe.core.mesh.primitives import sphere, star_shape
+from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.parameterize.seam import Seam
 from ssmpipe.core.repair.trimming import trim
 from ssmpipe.stages import fit, parameterize, sample
@@ -101,3 +102,37 @@ def test_arbitrary_choices_are_told():
     assert ctx.metrics["n_flips"] == 0
     _, ctx = go(parameterize, {"topology": "cone", "max_iterations": 1}, mesh=cap())
     assert "stretch still fell after 1 iterations" in ctx.warnings[0]
+
+
+def test_poles_are_those_of_the_reference():
+    lump = star_shape(4)
+    linear = np.array([[1.1, 0.05, 0.0], [0.0, 0.9, 0.0], [0.03, 0.0, 1.2]])
+    other = TriMesh(lump.vertices @ linear.T + [2.0, 0.0, -1.0], lump.faces)
+    made, ctx = go(parameterize, {"topology": "closed", "max_iterations": 5}, mesh=lump, reference=lump)
+    own, _ = go(parameterize, {"topology": "closed", "max_iterations": 5, "places": "own"}, mesh=lump, reference=other)
+    poles = made["mesh"].vertices[list(made["seam"].poles)]
+    assert ctx.metrics["apex_from"] == "reference"
+    assert np.allclose(own["mesh"].vertices[list(own["seam"].poles)], poles)
+    carried, _ = go(parameterize, {"topology": "closed", "max_iterations": 5}, mesh=other, reference=lump)
+    wanted = poles @ linear.T + [2.0, 0.0, -1.0]
+    there = carried["mesh"].vertices[list(carried["seam"].poles)]
+    assert np.linalg.norm(there - wanted, axis=1).max() < 0.5
+
+
+def test_corners_are_those_of_the_reference():
+    cap_ = cap()
+    turn = np.radians(20.0)
+    linear = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1.0]])
+    other = TriMesh(cap_.vertices @ linear.T, cap_.faces)
+
+    def corners(made):
+        return np.array(
+            [made["mesh"].vertices[(made["uv"] == c).all(axis=1)][0] for c in ((0, 0), (1, 0), (1, 1), (0, 1))]
+        )
+
+    first, _ = go(parameterize, {"max_iterations": 2}, mesh=cap_, reference=cap_)
+    second, ctx = go(parameterize, {"max_iterations": 2}, mesh=other, reference=cap_)
+    assert ctx.metrics["corners_from"] == "reference"
+    away = np.linalg.norm(corners(second) - corners(first) @ linear.T, axis=1)
+    own, _ = go(parameterize, {"max_iterations": 2}, mesh=other)
+    assert away.max() < 2.0 < np.linalg.norm(corners(own) - corners(first) @ linear.T, axis=1).min()

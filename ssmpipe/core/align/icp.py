@@ -124,6 +124,8 @@ class IcpResult:
     converged : bool
     identity_cost : float
         Cost reached from the identity start [mm].
+    scale : float
+        Factor by which the source was enlarged while its pose was sought; it is not in the matrix [-].
     """
 
     matrix: Floats
@@ -132,20 +134,22 @@ class IcpResult:
     n_iterations: int
     converged: bool
     identity_cost: float
+    scale: float = 1.0
 
 
 def refine(
-    source: PointSurface, target: PointSurface, start: Floats, n_iterations: int = 60
+    source: PointSurface, target: PointSurface, start: Floats, n_iterations: int = 60, *, scaled: bool = False
 ) -> tuple[Floats, int, bool]:
-    """Improve a rigid motion by symmetric point-to-plane ICP (Chen and Medioni 1992).
+    """Improve a rigid motion, or a motion with a change of size, by symmetric point-to-plane ICP (Chen and Medioni 1992).
 
     Every point of either surface is paired with the nearest point of the other; the linearized motion minimizes the
-    distances along the normals of the point that was hit, both directions together.
+    distances along the normals of the point that was hit, both directions together. With ``scaled`` the size changes as well, by
+    at most a tenth per step.
 
     Returns
     -------
     matrix : (4, 4)
-        The motion with the smallest cost on the way.
+        The motion with the smallest cost on the way; times a scale with ``scaled``.
     n_iterations : int
     converged : bool
         When a step turns by less than 1e-7 rad and shifts by less than 1e-7 of the target's size, or the cost has not
@@ -156,7 +160,7 @@ def refine(
     size = float(np.sqrt(((target.points - center) ** 2).sum(axis=1).mean()))
     best, lowest, lowest_at = matrix, np.inf, 0
     for iteration in range(1, n_iterations + 1):
-        points, goals, normals = _pairs(source, target, matrix)
+        points, goals, normals = pairs(source, target, matrix)
         residual = np.einsum("ij,ij->i", goals - points, normals)
         now = float(residual @ residual)
         if now < lowest:
@@ -166,18 +170,23 @@ def refine(
             lowest = now
         if iteration - lowest_at >= 6:
             return _orthonormal(best), iteration, True
-        rows = np.hstack([np.cross(points - center, normals) / size, normals])
+        arms = points - center
+        rows = np.hstack([np.cross(arms, normals) / size, normals])
+        if scaled:
+            rows = np.hstack([rows, np.einsum("ij,ij->i", arms, normals)[:, None] / size])
         step = np.linalg.lstsq(rows.T @ rows, rows.T @ residual, rcond=1e-12)[0]
-        rotation = rotation_vector_matrix(step[:3] / size)
-        matrix = homogeneous(rotation, center + step[3:] - rotation @ center) @ matrix
-        if np.linalg.norm(step[:3]) < 1e-7 * size and np.linalg.norm(step[3:]) < 1e-7 * size:
+        linear = rotation_vector_matrix(step[:3] / size)
+        if scaled:
+            linear = linear * (1.0 + float(np.clip(step[6] / size, -0.1, 0.1)))
+        matrix = homogeneous(linear, center + step[3:6] - linear @ center) @ matrix
+        if max(np.linalg.norm(step[:3]), np.linalg.norm(step[3:])) < 1e-7 * size:
             return _orthonormal(matrix), iteration, True
     return _orthonormal(best), n_iterations, False
 
 
 def cost(source: PointSurface, target: PointSurface, matrix: Floats) -> float:
     """Return the root mean square of distances to the nearest point along its normal, both ways [mm]."""
-    points, goals, normals = _pairs(source, target, matrix)
+    points, goals, normals = pairs(source, target, matrix)
     squared = np.einsum("ij,ij->i", goals - points, normals) ** 2
     n = len(squared) - (len(target.points) if target.active is None else int(target.active.sum()))
     return float(np.sqrt(0.5 * (squared[:n].mean() + squared[n:].mean())))
@@ -222,11 +231,15 @@ def align(
     n_points: int = 5000,
     region: Region | Ball | None = None,
     ball: Ball | None = None,
+    scaled: bool = True,
 ) -> IcpResult:
     """Move a surface rigidly onto another, whatever its pose.
 
     Starts: the pose as it is, and 24 matches of the principal axes. A short run on few points screens them; the best
     few are refined on more points, the identity and the winner on all.
+
+    The pose is sought at equal size: a small bone inside of a large one lies askew where it fits best, and turned end for end as
+    well as not. The motion that is returned has no scale: it turns the shape as it was found, about its own centroid.
 
     Parameters
     ----------
@@ -239,9 +252,12 @@ def align(
     n_points : int
         Sample points per surface.
     region : Region or Ball, optional
-        Part of the target that counts; what lies nearest to the rest of it is left out (shafts of different length).
+        Part of the target that counts; what lies nearest to the rest of it is left out (shafts of different length). The sizes
+        are then kept.
     ball : Ball, optional
-        Instead: part of the source that counts, around a landmark of its own.
+        Instead: part of the source that counts, around a landmark of its own. The sizes are then kept.
+    scaled : bool
+        Whether the pose is sought at equal size.
 
     Returns
     -------
@@ -256,26 +272,44 @@ def align(
         (PointSurface.of(source, n), PointSurface.of(target, n, region))
         for n in (min(400, n_points), min(1200, n_points), n_points)
     )
-    unmoved = np.eye(4)
-    matrix, n_iterations, converged = refine(*all_points, unmoved)
+    scaled = scaled and region is None and ball is None
+    middle, factor = all_points[0].points.mean(axis=0), 1.0
+    if scaled:
+        factor = _spread(all_points[1]) / _spread(all_points[0])
+    unmoved = homogeneous(factor * np.eye(3), (1.0 - factor) * middle)
+    matrix, n_iterations, converged = refine(*all_points, unmoved, scaled=scaled)
     identity_cost = cost(*all_points, matrix)
     best = IcpResult(matrix, identity_cost, "identity", n_iterations, converged, identity_cost)
-    starts = [unmoved, *axis_starts(source, target)]
+    starts = [unmoved, *(m @ unmoved for m in axis_starts(source, target))]
     if isinstance(region, Ball):
         # the rest of both shapes may differ in length: their middles need not match
         starts, n_refined = starts + _slid(starts[1:], target), 2 * n_refined
     screened = [screen(*few, start) for start in starts]
     order = np.argsort([c for _, c in screened], kind="stable")[:n_refined]
-    candidates = [(refine(*some, screened[k][0])[0], int(k)) for k in order]
+    candidates = [(refine(*some, screened[k][0], scaled=scaled)[0], int(k)) for k in order]
     found, k = min(candidates, key=lambda c: (cost(*all_points, c[0]), c[1]))
     if cost(*all_points, found) < (1.0 - 0.5 * margin) * identity_cost:
-        matrix, n_iterations, converged = refine(*all_points, found)
+        matrix, n_iterations, converged = refine(*all_points, found, scaled=scaled)
         other = cost(*all_points, matrix)
         if other < (1.0 - margin) * identity_cost:
             best = IcpResult(
                 matrix, other, "screened" if k == 0 else f"axes-{k}", n_iterations, converged, identity_cost
             )
-    return best
+    if not scaled:
+        return best
+    scale = _scale(best.matrix)
+    rotation = best.matrix[:3, :3] / scale
+    rigid = homogeneous(rotation, apply(best.matrix, middle[None])[0] - rotation @ middle)
+    return replace(best, matrix=_orthonormal(rigid), scale=scale)
+
+
+def _spread(surface: PointSurface) -> float:
+    """Return the root mean square distance of the points from their centroid [mm]."""
+    return float(np.sqrt(surface.points.var(axis=0).sum()))
+
+
+def _scale(matrix: Floats) -> float:
+    return float(np.linalg.det(matrix[:3, :3]) ** (1.0 / 3.0))
 
 
 def fits_better_mirrored(
@@ -323,12 +357,14 @@ def align_mirrored(
     return replace(mirrored, matrix=mirrored.matrix @ flip @ result.matrix)
 
 
-def _pairs(source: PointSurface, target: PointSurface, matrix: Floats) -> tuple[Floats, Floats, Floats]:
+def pairs(source: PointSurface, target: PointSurface, matrix: Floats) -> tuple[Floats, Floats, Floats]:
     """Return moved source points, the target points they belong to, and the normals to measure along, both ways."""
-    moved, turned = apply(matrix, source.points), source.normals @ matrix[:3, :3].T
+    back_matrix = _inverse(matrix)
+    moved, turned = apply(matrix, source.points), source.normals @ back_matrix[:3, :3]
+    turned = turned / np.linalg.norm(turned, axis=1, keepdims=True)
     there = target.tree.query(moved)[1]
     seen = target.points if target.active is None else target.points[target.active]
-    back = source.tree.query(apply(_inverse(matrix), seen))[1]
+    back = source.tree.query(apply(back_matrix, seen))[1]
     forth = moved
     if target.active is not None:
         counts = target.active[there]
@@ -347,11 +383,11 @@ def _slid(starts: list[Floats], target: TriMesh) -> list[Floats]:
 
 
 def _inverse(matrix: Floats) -> Floats:
-    rotation = matrix[:3, :3].T
-    return homogeneous(rotation, -rotation @ matrix[:3, 3])
+    linear = np.asarray(np.linalg.inv(matrix[:3, :3]), dtype=np.float64)
+    return homogeneous(linear, -linear @ matrix[:3, 3])
 
 
 def _orthonormal(matrix: Floats) -> Floats:
-    """Remove rounding from a product of rotations."""
+    """Remove rounding from a product of rotations, and of one scale."""
     u, _, vt = np.linalg.svd(matrix[:3, :3])
-    return homogeneous(u @ vt, matrix[:3, 3])
+    return homogeneous(_scale(matrix) * (u @ vt), matrix[:3, 3])

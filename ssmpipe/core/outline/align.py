@@ -81,6 +81,20 @@ def align_outline(moving: Outline, target: Outline, *, n: int = 256, keep_start:
     return OutlineFit(matrix, shift * moving.length / n, float(np.sqrt(max(square, 0.0))))
 
 
+def mirror_outline(outline: Outline) -> Outline:
+    """Reflect an outline in x; a closed one is run the other way round from the same first point, so that its sense stays.
+
+    Examples
+    --------
+    >>> mirror_outline(Outline(np.array([[0, 0], [3, 0], [3, 1.0]]), closed=True)).points.tolist()
+    [[0.0, 0.0], [-3.0, 1.0], [-3.0, 0.0]]
+    """
+    points = outline.points * [-1.0, 1.0]
+    if outline.closed:
+        points = np.concatenate([points[:1], points[:0:-1]])
+    return Outline(points + 0.0, outline.closed)
+
+
 def medoid_outline(outlines: Mapping[str, Outline], *, n: int = 128, keep_start: bool = False) -> str:
     """Return the id of the outline with the smallest sum of RMS distances to all others, each pair aligned; first id wins a tie.
 

@@ -65,3 +65,25 @@ def test_medoid_is_the_middle_size_in_any_pose():
     assert distances[0, 1] == pytest.approx(0.0, abs=1e-9)
     # the mean distance of two points on a sphere is 4/3 of its radius
     assert distances[0, 2] == pytest.approx(4 / 3, rel=1e-2)
+
+
+def club(size: float) -> TriMesh:
+    """A rod with one slightly thicker end, 200 mm long at size 1."""
+    ball = sphere(1.0, 4)
+    z = ball.vertices[:, 2]
+    radius = 10.0 + 2.0 * np.exp(-((z - 0.8) ** 2) / 0.05) + 1.0 * np.exp(-((z + 0.6) ** 2) / 0.1)
+    across = ball.vertices[:, :2] * radius[:, None]
+    return TriMesh(size * np.column_stack([across * [1.0, 0.7], 100.0 * z]), ball.faces)
+
+
+def test_a_small_rod_is_not_turned_end_for_end():
+    large, small = club(1.0), club(0.7)
+    turned = move(small, np.diag([1.0, -1.0, -1.0, 1.0]))
+    result = align(turned, large, n_points=1500)
+    ends = result.matrix[:3, :3] @ np.array([0, 0, 1.0])
+    assert ends[2] < -0.99
+    assert result.scale == pytest.approx(1 / 0.7, rel=0.01)
+    assert np.linalg.det(result.matrix[:3, :3]) == pytest.approx(1.0)
+    # at its own size it fits inside of the large one either way round
+    kept = align(turned, large, n_points=1500, scaled=False)
+    assert kept.cost == pytest.approx(kept.identity_cost, rel=0.1)
