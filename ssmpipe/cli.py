@@ -564,6 +564,11 @@ def compare(
 @click.option(
     "-j", "--jobs", type=click.IntRange(1), metavar="N", help="Child processes.  [default: processors, at most 8]"
 )
+@click.option(
+    "--partial", is_flag=True,
+    help="The scans are fragments: complete each by the model, with the uncertainty of what is missing.  [default: off]",
+)  # fmt: skip
+@click.option("--fill", is_flag=True, help="The same, and write each scan with its holes filled.  [default: off]")
 @click.option("-q", "--quiet", is_flag=True, help="Print errors only.  [default: off]")
 def project(
     model: Path,
@@ -573,6 +578,8 @@ def project(
     side: str | None,
     cohort: Path | None,
     jobs: int | None,
+    partial: bool,
+    fill: bool,
     quiet: bool,
 ) -> None:
     """Bring new scans into a finished model, which stays as it is: coefficients, reconstruction, distance map."""
@@ -581,7 +588,9 @@ def project(
         from ssmpipe.use.model import load_model
         from ssmpipe.use.projecting import ProjectOptions, project_scans
 
-        options = ProjectOptions(landmarks, cohort, side.upper() if side else None, jobs)
+        options = ProjectOptions(
+            landmarks, cohort, side.upper() if side else None, jobs, partial=partial or fill, fill=fill
+        )
         result = project_scans(load_model(model), scans, out, options, Console(-1 if quiet else 0))
         if not quiet:
             click.echo(f"{len(result.rows)} projected, {len(result.failures)} failed; results are in {out}")

@@ -20,7 +20,7 @@ from ssmpipe.core.correspondence.optimize import EngineOptions
 from ssmpipe.core.errors import ConfigError
 from ssmpipe.core.mesh.distance import signed_point_to_mesh
 from ssmpipe.core.mesh.trimesh import TriMesh
-from ssmpipe.core.model.posterior import Observations, posterior
+from ssmpipe.core.model.posterior import NOWHERE, Observations, posterior
 from ssmpipe.core.model.remainder import LeaveOneOut, Remainder, fit_remainder, leave_one_out, spread
 from ssmpipe.core.model.shape_model import ShapeModel
 from ssmpipe.core.outline.distance import point_to_segments
@@ -54,6 +54,7 @@ from ssmpipe.runner.sources import (
     scan_files,
 )
 from ssmpipe.runner.workspace import Workspace
+from ssmpipe.use.completing import PARTIAL, Fragment, complete_fragment, rank, summary
 from ssmpipe.use.model import Model
 
 STEP = "project"
@@ -73,6 +74,10 @@ class ProjectOptions:
     jobs : int, optional
     timeout_s : float, optional
         For one scan.
+    partial : bool
+        Whether scans are fragments, which are completed instead of taken through the chain.
+    fill : bool
+        The same, and every fragment is also written with its openings filled.
     """
 
     landmarks: Path | None = None
@@ -80,6 +85,8 @@ class ProjectOptions:
     side: str | None = None
     jobs: int | None = None
     timeout_s: float | None = 3600.0
+    partial: bool = False
+    fill: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,12 +164,14 @@ def project_scans(
     registry = Registry.default()
     sources, warnings = _sources(scans, content, options)
     kinds = sources[0].kinds
+    if options.partial and (sources[0].kind != "mesh" or not len(model.shape_model.faces)):
+        raise ConfigError("only surfaces can be completed", "leave out --partial and --fill")
     with locked(out):
         scratch = out / SCRATCH
         with disk_errors():
             shutil.rmtree(scratch, ignore_errors=True)
             scratch.mkdir(parents=True)
-            if "surface" in kinds:
+            if options.partial or "surface" in kinds:
                 plan = Plan(())
             else:
                 assert model.shape_model.chain is not None
@@ -187,6 +196,8 @@ def _run(
     workspace = Workspace(out, plan, {s.id: s for s in sources}, int(content["seed"]), registry, out / SCRATCH)
     names = tuple(step.id for step in plan.steps)
     closing = Closing(STEP, partial(project_shape, target))
+    if options.partial:
+        closing = Closing("complete", partial(complete_shape, target, content["steps"], options.fill))
     jobs = [Job(workspace.only([s.id]), names, s.id, (s.id,), closing=closing) for s in sources]
     result = ProjectResult(OK)
 
@@ -221,7 +232,9 @@ def _run(
         shutil.rmtree(workspace.scratch, ignore_errors=True)
     if any(f.internal for f in result.failures.values()):
         result.exit_code = INTERNAL if not result.rows else QUARANTINED
-    elif result.failures or any(row["certificate"]["status"] != "proved" for row in result.rows.values()):
+    elif result.failures or any(
+        row["certificate"]["status"] not in ("proved", PARTIAL) for row in result.rows.values()
+    ):
         result.exit_code = QUARANTINED
     return result
 
@@ -313,6 +326,18 @@ def project_shape(target: Target, workspace: Workspace, shape: str) -> list[str]
     return warnings
 
 
+def complete_shape(
+    target: Target, steps: Sequence[Mapping[str, Any]], fill: bool, workspace: Workspace, shape: str
+) -> list[str]:
+    """Complete one fragment, and write its folder; return warnings."""
+    source = workspace.sources[shape]
+    scan = source.load()
+    fragment = Fragment(scan["mesh"], scan["transform"], source.side, steps, fill)
+    folder = patient_folder(workspace.out, shape)
+    others = target.others
+    return [*scan["warnings"], *complete_fragment(target.model, target.remainder, others, fragment, folder, shape)]
+
+
 def _check_topology(spline: Any, model: ShapeModel) -> None:
     kind: str
     if isinstance(spline, BSplineSurface):
@@ -393,7 +418,7 @@ class Projection:
         scores = model.project(points)
         few = spread(model.mean, _SEEN_POINTS)
         seen = Observations.of_places(few, points[few])
-        covariance = posterior(model, target.remainder, seen, with_deviation=False).covariance
+        covariance = posterior(model, target.remainder, seen, deviation_at=NOWHERE).covariance
         return cls(
             target,
             points,
@@ -420,11 +445,11 @@ class Projection:
             "scores": self.scores,
             "deviations": self.deviations,
             "mahalanobis": distance,
-            "mahalanobis_p": _rank(distance, others.mahalanobis),
+            "mahalanobis_p": rank(distance, others.mahalanobis),
             "residual_rms_mm": residual,
-            "residual_p": _rank(residual, training),
-            **_summary("to_scan", to_scan),
-            **_summary("from_scan", to_model),
+            "residual_p": rank(residual, training),
+            **summary("to_scan", to_scan),
+            **summary("from_scan", to_model),
             "description_length_before": self.new.description_length[0],
             "description_length_after": self.new.description_length[1],
             "certificate": {
@@ -503,23 +528,6 @@ def _rms(offsets: Floats) -> float:
     return float(np.sqrt((offsets**2).sum(axis=-1).mean()))
 
 
-def _rank(value: float, training: Floats) -> float:
-    """Return the share of shapes, this one among them, that are at least as far out: small for an unusual shape."""
-    return float((1 + np.count_nonzero(training >= value)) / (len(training) + 1))
-
-
-def _summary(name: str, signed: Floats) -> dict[str, float]:
-    if not len(signed):
-        return {f"{name}_{what}_mm": float("nan") for what in ("mean", "median", "p95", "max")}
-    size = np.abs(signed)
-    return {
-        f"{name}_mean_mm": float(size.mean()),
-        f"{name}_median_mm": float(np.median(size)),
-        f"{name}_p95_mm": float(np.percentile(size, 95)),
-        f"{name}_max_mm": float(size.max()),
-    }
-
-
 # --- tables --------------------------------------------------------------------------------------------------------
 
 
@@ -535,6 +543,9 @@ def scores_table(rows: Mapping[str, Mapping[str, Any]], n_modes: int) -> Table:
     plain += [f"{d}_{w}_mm" for d in ("to_scan", "from_scan") for w in ("mean", "median", "p95", "max")]
     for name in plain:
         columns[name] = ["" if rows[i].get(name) is None else rows[i][name] for i in ids]
+    if any("seen_share" in rows[i] for i in ids):
+        for name in ("seen_share", "expected_error_mm"):
+            columns[name] = ["" if rows[i].get(name) is None else rows[i][name] for i in ids]
     columns["certificate"] = [rows[i]["certificate"]["status"] for i in ids]
     note = (
         "modes and their sd in standard deviations of the model; _p: share of the training shapes, each in the model of the others, "
@@ -545,6 +556,10 @@ def scores_table(rows: Mapping[str, Mapping[str, Any]], n_modes: int) -> Table:
 
 def _line(row: Mapping[str, Any]) -> str:
     text = f"{row['id']}: Mahalanobis {row['mahalanobis']:.2f} (p {row['mahalanobis_p']:.2g}), "
+    if row["certificate"]["status"] == PARTIAL:
+        text += f"{100 * row['seen_share']:.0f} % seen, {row['from_scan_mean_mm']:.3g} mm from the fragment"
+        expected = row.get("expected_error_mm")
+        return text + (f", missing part expected within {expected:.2g} mm" if expected is not None else "")
     text += f"residual {row['residual_rms_mm']:.3g} mm"
     if row.get("to_scan_mean_mm") is not None:
         text += f", reconstruction {row['to_scan_mean_mm']:.3g} mm from the scan (95 %: {row['to_scan_p95_mm']:.3g})"

@@ -43,6 +43,10 @@ class Observations:
         return cls(np.repeat(points, d), np.tile(np.eye(d), (len(points), 1)), places.ravel())
 
 
+NOWHERE: Ints = np.empty(0, dtype=np.int64)
+"""No point: for ``deviation_at``."""
+
+
 @dataclass(frozen=True, eq=False)
 class Posterior:
     """The model given observations.
@@ -57,8 +61,8 @@ class Posterior:
         Expected shape, remainder included, rigid motion left out [mm].
     motion : (6,) or (3,)
         Rotation vector about the centroid of the mean [rad], then translation [mm]; zeros when not asked for.
-    deviation : (n_P, d)
-        Standard deviation of every coordinate, motion and noise included [mm]; empty when not asked for.
+    deviation : (n_P, d) or (n, d)
+        Standard deviation of every coordinate of the points asked for, motion and noise included [mm].
     """
 
     scores: Floats
@@ -92,9 +96,9 @@ def posterior(
     remainder: Remainder,
     seen: Observations,
     *,
-    noise: float | None = None,
+    noise: float | Floats | None = None,
     motion_deviation: tuple[float, float] | None = None,
-    with_deviation: bool = True,
+    deviation_at: Ints | None = None,
 ) -> Posterior:
     """Return the model given observations (Albrecht et al. 2013; Luethi et al. 2018, sec. 4).
 
@@ -106,12 +110,12 @@ def posterior(
     model : ShapeModel
     remainder : Remainder
     seen : Observations
-    noise : float, optional
-        Variance of an observation [mm^2]; that of the remainder by default.
+    noise : float or (n,) float64, optional
+        Variance of the observations [mm^2]; that of the remainder by default.
     motion_deviation : (float, float), optional
         Prior standard deviation of a rigid motion that is estimated with the shape: rotation [rad], translation [mm].
-    with_deviation : bool
-        Whether the uncertainty of all points is computed, which takes most of the time.
+    deviation_at : (n,) int64, optional
+        Points whose uncertainty is computed, which takes most of the time; all by default.
 
     Returns
     -------
@@ -131,7 +135,7 @@ def posterior(
     rows = np.einsum("mjc,jc->jm", basis[:, seen.points], seen.directions)
     offset = seen.values - np.einsum("jc,jc->j", mean[seen.points], seen.directions)
     covariance = remainder.kernel(mean[seen.points], mean[seen.points]) * (seen.directions @ seen.directions.T)
-    own = max(remainder.noise if noise is None else noise, 1e-9 * remainder.variance)
+    own = np.maximum(remainder.noise if noise is None else noise, 1e-9 * remainder.variance)
     covariance[np.diag_indices(len(covariance))] += own
     factor = scipy.linalg.cho_factor(covariance, lower=True, overwrite_a=True, check_finite=False)
     solved = scipy.linalg.cho_solve(factor, np.column_stack([rows, offset]), check_finite=False)
@@ -142,19 +146,19 @@ def posterior(
     cross = remainder.kernel(mean, mean[seen.points])
     smooth = cross @ (seen.directions * left[:, None])
     points = mean + np.einsum("m,mld->ld", coefficients[:n_modes], basis[:n_modes]) + smooth
-    deviation = np.empty((0, d))
-    if with_deviation:
-        variance = np.empty_like(mean)
+    at = np.arange(len(mean)) if deviation_at is None else deviation_at
+    variance = np.empty((len(at), d))
+    if len(at):
         triangle = np.tril(factor[0])
         white_rows = scipy.linalg.solve_triangular(triangle, rows, lower=True, check_finite=False)
-        for c in range(d):
-            white = scipy.linalg.solve_triangular(
-                triangle, (cross * seen.directions[:, c]).T, lower=True, check_finite=False
-            )
-            not_explained = basis[:, :, c].T - white.T @ white_rows
-            variance[:, c] = remainder.variance - (white**2).sum(axis=0)
-            variance[:, c] += np.einsum("lm,mk,lk->l", not_explained, spread_, not_explained)
-        deviation = np.sqrt(np.maximum(variance, 0.0) + remainder.noise)
+    for c in range(d if len(at) else 0):
+        white = scipy.linalg.solve_triangular(
+            triangle, (cross[at] * seen.directions[:, c]).T, lower=True, check_finite=False
+        )
+        not_explained = basis[:, at, c].T - white.T @ white_rows
+        variance[:, c] = remainder.variance - (white**2).sum(axis=0)
+        variance[:, c] += np.einsum("lm,mk,lk->l", not_explained, spread_, not_explained)
+    deviation = np.sqrt(np.maximum(variance, 0.0) + remainder.noise)
     motion = np.zeros(3 if d == 2 else 6)
     if motion_deviation is not None:
         motion = widths * coefficients[n_modes:]

@@ -10,8 +10,9 @@ from scipy.spatial.distance import cdist
 
 from ssmpipe.core.arrays import Floats, Ints
 
-_FIT_POINTS = 250
-_LENGTHS = (0.03, 0.06, 0.1, 0.16, 0.25, 0.4, 0.7)
+_FIT_POINTS = 200
+_LENGTHS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0, 2.0)
+_LONG = (0.2, 0.5, 0.8)
 _SHARES = (1e-3, 1e-2, 5e-2, 0.2)
 
 
@@ -80,38 +81,52 @@ def _one_by_one(flat: Floats, shape: tuple[int, ...]) -> LeaveOneOut:
 
 @dataclass(frozen=True)
 class Remainder:
-    """Zero-mean Gaussian process on the mean shape, the same and independent in every coordinate.
+    """Zero-mean Gaussian process on the mean shape, the same and independent in every coordinate: a short, a long and a white part.
 
     Parameters
     ----------
     variance : float
-        Of the smooth part, per coordinate [mm^2].
+        Of the smooth parts together, per coordinate [mm^2].
     length : float
-        Over which it changes: of a Matern 3/2 kernel [mm].
+        Over which the short part changes: of a Matern 3/2 kernel [mm].
     noise : float
         Variance of what varies from point to point, per coordinate [mm^2].
+    long_length : float
+        Of the long part, such as errors of pose and size [mm].
+    long_share : float
+        Share of the long part in ``variance``.
     """
 
     variance: float
     length: float
     noise: float
+    long_length: float = 1.0
+    long_share: float = 0.0
 
     def kernel(self, a: Floats, b: Floats) -> Floats:
-        """Return the covariance of the smooth part between (n, d) and (m, d) places on the mean [mm^2].
+        """Return the covariance of the smooth parts between (n, d) and (m, d) places on the mean [mm^2].
 
         Examples
         --------
         >>> Remainder(4.0, 1.0, 0.1).kernel(np.zeros((1, 3)), np.zeros((1, 3)))
         array([[4.]])
         """
-        scaled = np.sqrt(3.0) / self.length * cdist(a, b)
-        return np.asarray(self.variance * (1.0 + scaled) * np.exp(-scaled))
+        distance = cdist(a, b)
+        values = (1.0 - self.long_share) * _matern(distance, self.length)
+        if self.long_share > 0:
+            values += self.long_share * _matern(distance, self.long_length)
+        return np.asarray(self.variance * values)
+
+
+def _matern(distance: Floats, length: float) -> Floats:
+    scaled = np.sqrt(3.0) / length * distance
+    return np.asarray((1.0 + scaled) * np.exp(-scaled))
 
 
 def fit_remainder(residuals: Floats, mean: Floats) -> Remainder:
     """Fit the process to leave-one-out residuals by maximum likelihood (Rasmussen and Williams 2006, ch. 5).
 
-    Length and share of noise are searched on a fixed grid, the variance follows in closed form; on a fixed subset of the points.
+    Lengths and shares are searched on a fixed grid, the variance follows in closed form; on a fixed subset of the points.
 
     Parameters
     ----------
@@ -129,18 +144,25 @@ def fit_remainder(residuals: Floats, mean: Floats) -> Remainder:
         return Remainder(1e-12 * size**2, 0.25 * size, 1e-12 * size**2)
     chosen = spread(mean, _FIT_POINTS)
     columns = np.moveaxis(residuals[:, chosen], 1, 0).reshape(len(chosen), -1)
-    best = (np.inf, 0.0, 0.0)
-    for length in _LENGTHS:
-        correlation = Remainder(1.0, length * size, 0.0).kernel(mean[chosen], mean[chosen])
-        values, vectors = scipy.linalg.eigh(correlation)
+    distance = cdist(mean[chosen], mean[chosen])
+    parts = [_matern(distance, length * size) for length in _LENGTHS]
+    best = (np.inf, 0, 0, 0.0, 0.0)
+    for i, j, long_share in _mixtures():
+        values, vectors = scipy.linalg.eigh((1.0 - long_share) * parts[i] + long_share * parts[j])
         energy = ((vectors.T @ columns) ** 2).sum(axis=1)
         for share in _SHARES:
             mixed = (1.0 - share) * np.maximum(values, 0.0) + share
             scale = float((energy / mixed).mean() / columns.shape[1])
             cost = float(np.log(mixed).sum() + len(mixed) * np.log(scale))
-            best = min(best, (cost, length, share))
-    _, length, share = best
-    return Remainder((1.0 - share) * total, length * size, share * total)
+            best = min(best, (cost, i, j, long_share, share))
+    _, i, j, long_share, share = best
+    return Remainder((1.0 - share) * total, _LENGTHS[i] * size, share * total, _LENGTHS[j] * size, long_share)
+
+
+def _mixtures() -> list[tuple[int, int, float]]:
+    """Return (short, long, share of the long one): indices of lengths; one length alone first."""
+    alone = [(i, i, 0.0) for i in range(len(_LENGTHS))]
+    return alone + [(i, j, s) for i in range(len(_LENGTHS)) for j in range(i + 2, len(_LENGTHS)) for s in _LONG]
 
 
 def spread(points: Floats, n: int) -> Ints:

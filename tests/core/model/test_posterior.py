@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from ssmpipe.core.align.rigid import rotation_vector_matrix
-from ssmpipe.core.model.posterior import Observations, posterior
+from ssmpipe.core.model.posterior import NOWHERE, Observations, posterior
 from ssmpipe.core.model.remainder import Remainder
 from ssmpipe.core.model.shape_model import ShapeModel
 from tests.support.models import shape_model
@@ -79,6 +79,6 @@ def test_a_small_motion_is_told_from_the_shape():
     points = (MODEL.instance(scores) - centre) @ rotation_vector_matrix(vector).T + centre + shift
     sure = Remainder(1e-4, 0.3 * SIZE, 1e-4)
     seen = Observations.of_places(np.arange(len(points)), points)
-    found = posterior(MODEL, sure, seen, motion_deviation=(0.2, 20.0), with_deviation=False)
+    found = posterior(MODEL, sure, seen, motion_deviation=(0.2, 20.0), deviation_at=NOWHERE)
     np.testing.assert_allclose(found.motion, [*vector, *shift], atol=0.02)
     assert len(found.deviation) == 0

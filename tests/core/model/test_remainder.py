@@ -22,7 +22,7 @@ def test_a_process_is_recovered_from_its_samples():
     rng = np.random.default_rng(0)
     mean = rng.uniform(-50, 50, size=(200, 3))
     size = np.sqrt(((mean - mean.mean(axis=0)) ** 2).sum(axis=1).mean())
-    truth = Remainder(4.0, 0.4 * size, 0.2)
+    truth = Remainder(4.0, 0.5 * size, 0.2)
     covariance = truth.kernel(mean, mean) + 0.2 * np.eye(200)
     samples = np.moveaxis(np.linalg.cholesky(covariance) @ rng.normal(size=(200, 20 * 3)), 1, 0)
     found = fit_remainder(samples.reshape(20, 3, 200).transpose(0, 2, 1), mean)

@@ -1,0 +1,185 @@
+"""A fragment of one patient, completed by the model of others: what is missing, how sure it is, and the scan with its holes filled."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ssmpipe.core.align.rigid import apply, move, reflection
+from ssmpipe.core.arrays import Floats
+from ssmpipe.core.errors import GeometryError
+from ssmpipe.core.mesh.distance import signed_point_to_mesh
+from ssmpipe.core.mesh.operators import vertex_normals
+from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.core.model.completion import Completion, complete
+from ssmpipe.core.model.remainder import LeaveOneOut, Remainder
+from ssmpipe.core.model.shape_model import ShapeModel
+from ssmpipe.core.repair.cleaning import clean
+from ssmpipe.core.repair.decimation import decimate
+from ssmpipe.io.arrays import write_npz
+from ssmpipe.io.codecs import write_json
+from ssmpipe.io.mesh_formats import vtp
+from ssmpipe.io.meshes import write_mesh
+from ssmpipe.runner.execute import disk_errors
+
+PARTIAL = "partial"
+"""In place of a certificate: a completed fragment has no parameterization of its own."""
+_FACES = 20_000
+
+
+@dataclass(frozen=True, eq=False)
+class Fragment:
+    """A scan of a part.
+
+    Parameters
+    ----------
+    mesh : TriMesh
+        [mm]
+    transform : (4, 4)
+        From the scan to ``mesh`` (units).
+    side : {"L", "R", None}
+    steps : sequence of mapping
+        Of the model's chain, which say what is mirrored.
+    fill : bool
+        Whether the scan is also written with its openings filled.
+    """
+
+    mesh: TriMesh
+    transform: Floats
+    side: str | None
+    steps: Sequence[Mapping[str, Any]]
+    fill: bool
+
+
+def complete_fragment(
+    model: ShapeModel, remainder: Remainder, others: LeaveOneOut, fragment: Fragment, folder: Path, shape: str
+) -> list[str]:
+    """Complete a fragment and write ``folder``; return warnings."""
+    warnings: list[str] = []
+    whole = clean(fragment.mesh, components="largest").mesh
+    light = whole if whole.n_faces <= _FACES else decimate(whole, _FACES).mesh
+    found, flip = _best_image(light, fragment, model, remainder, warnings)
+    to_model = found.matrix @ flip
+    placed = move(whole, to_model)
+    surface = TriMesh(found.points, model.faces)
+    beyond = _beyond(placed, found)
+    from_scan = signed_point_to_mesh(placed.vertices[~beyond], surface)
+    if beyond.mean() > 0.2:
+        warnings.append(
+            f"{100 * beyond.mean():.0f} % of the fragment lies beyond the rim of the model and was not used; cut it if that is wrong"
+        )
+    matrix = to_model @ fragment.transform
+    back = np.asarray(np.linalg.inv(matrix))
+    completed = move(surface, back)
+    normals = vertex_normals(surface)
+    along = np.sqrt(((normals * found.deviation) ** 2).sum(axis=1))
+    spread = np.sqrt((found.deviation**2).mean(axis=1))
+    to_scan = -signed_point_to_mesh(found.points[found.seen], placed)
+    distance = float(np.linalg.norm(found.scores))
+    with disk_errors():
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        write_mesh(folder / "completed.ply", completed)
+        data = {"sd_mm": spread, "sd_along_normal_mm": along, "seen": found.seen.astype(np.float64)}
+        (folder / "completed.vtp").write_bytes(vtp.dump(completed.vertices, completed.faces, data))
+        write_npz(
+            folder / "projection.npz",
+            {
+                "scores": found.scores,
+                "scores_covariance": found.covariance,
+                "points": found.points,
+                "points_scan": completed.vertices,
+                "deviation": found.deviation,
+                "seen": found.seen,
+                "transform": matrix,
+            },
+        )
+        write_json(
+            folder / "projection.json",
+            {
+                "id": shape,
+                "side": fragment.side or "",
+                "scores": found.scores,
+                "deviations": np.sqrt(np.diagonal(found.covariance)),
+                "mahalanobis": distance,
+                "mahalanobis_p": rank(distance, others.mahalanobis),
+                **summary("to_scan", to_scan),
+                **summary("from_scan", from_scan),
+                "seen_share": float(found.seen.mean()),
+                "expected_error_mm": found.expected_error,
+                "mirrored": bool(np.linalg.det(flip) < 0),
+                "certificate": {"status": PARTIAL},
+            },
+        )
+    return warnings
+
+
+def _beyond(placed: TriMesh, found: Completion) -> Any:
+    """Return which vertices of the fragment lie beyond the completed surface: farther off than it is unsure, by far."""
+    from scipy.spatial import cKDTree
+
+    reach = float(np.sqrt(((found.points - found.points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    distance = cKDTree(found.points).query(placed.vertices)[0]
+    return np.asarray(distance > 0.2 * reach)
+
+
+def _best_image(
+    mesh: TriMesh, fragment: Fragment, model: ShapeModel, remainder: Remainder, warnings: list[str]
+) -> tuple[Completion, Floats]:
+    """Complete the fragment as the chain would mirror it; both images when that cannot be known."""
+    known = _mirrored(fragment)
+    if known is not None:
+        flip = reflection(0) if known else np.eye(4)
+        return complete(move(mesh, flip), model, remainder), flip
+    found: list[tuple[float, Completion, Floats]] = []
+    for flip in (np.eye(4), reflection(0)):
+        try:
+            one = complete(move(mesh, flip), model, remainder)
+        except GeometryError:
+            continue
+        surface = TriMesh(one.points, model.faces)
+        off = np.abs(signed_point_to_mesh(apply(one.matrix @ flip, mesh.vertices), surface))
+        found.append((float(np.median(off)) + one.rms, one, flip))
+    if not found:
+        raise GeometryError("the fragment cannot be placed on the model", "check units and that it is of this anatomy")
+    best = min(found, key=lambda f: f[0])
+    warnings.append(
+        f"the side is unknown; it was taken {'as it is' if best[2][0, 0] > 0 else 'as the mirror image'}, which fits better; say --side"
+    )
+    return best[1], best[2]
+
+
+def _mirrored(fragment: Fragment) -> bool | None:
+    """Return whether the chain of the model would mirror the scan; None when it cannot tell."""
+    for step in fragment.steps:
+        options = step.get("options", {})
+        if step.get("stage") == "orient" and options.get("mirror", "none") != "none":
+            if fragment.side is None:
+                return None
+            return fragment.side == ("L" if options["mirror"] == "left" else "R")
+        if step.get("stage") == "align" and options.get("chirality") == "best-fit":
+            return None
+    return False
+
+
+def rank(value: float, training: Floats) -> float:
+    """Return the share of shapes, this one among them, that are at least as far out: small for an unusual shape."""
+    return float((1 + np.count_nonzero(training >= value)) / (len(training) + 1))
+
+
+def summary(name: str, signed: Floats) -> dict[str, float]:
+    """Return mean, median, 95th percentile and largest size of signed distances, by name; NaN where there is none."""
+    if not len(signed):
+        return {f"{name}_{what}_mm": float("nan") for what in ("mean", "median", "p95", "max")}
+    size = np.abs(signed)
+    return {
+        f"{name}_mean_mm": float(size.mean()),
+        f"{name}_median_mm": float(np.median(size)),
+        f"{name}_p95_mm": float(np.percentile(size, 95)),
+        f"{name}_max_mm": float(size.max()),
+    }
