@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,12 @@ import numpy as np
 from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.errors import ArtifactError, ConfigError
 from ssmpipe.core.mesh.closing import close_openings, weld
+from ssmpipe.core.mesh.distance import signed_point_to_mesh
 from ssmpipe.core.mesh.quads import grid_quads, scaled_jacobian
 from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.core.model.completion import Completion, complete
+from ssmpipe.core.model.posterior import Observations, Posterior, posterior
+from ssmpipe.core.model.remainder import LeaveOneOut, Remainder, fit_remainder, leave_one_out
 from ssmpipe.core.model.shape_model import ShapeModel
 from ssmpipe.io.codecs import load_artifact
 
@@ -97,6 +102,59 @@ class Model:
             raise ConfigError(f"the points are {points.shape}, those of the model {self.mean.shape}")
         return self.shape_model.project(points)
 
+    def reconstruct(self, points: Floats) -> Floats:
+        """Return the instance of the model that is nearest to corresponded points in its frame, (n_P, d)."""
+        return self.shape_model.instance(self.project(points))
+
+    @cached_property
+    def leave_one_out(self) -> LeaveOneOut:
+        """Every shape of the cohort in the model of the others: residuals and Mahalanobis distances."""
+        self._need_shapes()
+        return leave_one_out(self.shape_model.training_points)
+
+    @cached_property
+    def remainder(self) -> Remainder:
+        """What the modes do not reach, fitted to the leave-one-out residuals."""
+        return fit_remainder(self.leave_one_out.residuals, self.mean)
+
+    def log_likelihood(self, points: Floats) -> float:
+        """Return the logarithm of the density of corresponded points in the frame of the model [nat].
+
+        Probabilistic principal components (Tipping and Bishop 1999): the modes, and noise of the variance of the leave-one-out residuals.
+        For comparing shapes with each other; alone it means little.
+        """
+        scores, noise = self.project(points), self.remainder.variance + self.remainder.noise
+        left = float(((points - self.shape_model.instance(scores)) ** 2).sum())
+        n, kept = points.size, self.variances
+        log_det = float(np.log(kept + noise).sum() + (n - len(kept)) * np.log(noise))
+        inside = float((scores**2 * kept / (kept + noise)).sum())
+        return float(-0.5 * (n * np.log(2 * np.pi) + log_det + inside + left / noise))
+
+    def given(self, points: Ints, places: Floats) -> Posterior:
+        """Return the model given the places (n, d) of some of its points, numbered (n,), in its frame [mm].
+
+        Expected points, coefficients with covariance, and the uncertainty of every point; see
+        :func:`ssmpipe.core.model.posterior.posterior`.
+        """
+        return posterior(self.shape_model, self.remainder, Observations.of_places(np.asarray(points), places))
+
+    def complete(self, fragment: TriMesh) -> Completion:
+        """Complete a part of a surface in any pose, of the side of the model; see :func:`ssmpipe.core.model.completion.complete`.
+
+        Raises
+        ------
+        ConfigError
+            If the model is one of curves, or of fewer than three shapes.
+        GeometryError
+            If the fragment cannot be placed.
+        """
+        self._need_surface()
+        return complete(fragment, self.shape_model, self.remainder)
+
+    def surface_distance(self, surface: TriMesh, coefficients: Floats | list[float]) -> Floats:
+        """Return the distance of every vertex of a surface in the frame of the model from an instance, positive outside [mm]."""
+        return signed_point_to_mesh(surface.vertices, self.surface(self.instance(coefficients)))
+
     def distance(self, coefficients: Floats | list[float]) -> float:
         """Return the Mahalanobis distance from the mean [standard deviations]."""
         return float(np.linalg.norm(coefficients))
@@ -134,6 +192,10 @@ class Model:
         at_apex = (row == self.shape_model.grid[1] - 1).any(axis=1) & (self.topology in ("cone", "closed"))
         at_antapex = (row == 0).any(axis=1) & (self.topology == "closed")
         return scaled_jacobian(points, quads[~at_apex & ~at_antapex])
+
+    def _need_shapes(self) -> None:
+        if len(self.scores) < 3:
+            raise ConfigError(f"{self.path.name} holds {len(self.scores)} shapes, at least 3 are needed for this")
 
     def _need_surface(self) -> None:
         if self.topology not in SURFACES:
