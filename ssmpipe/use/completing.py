@@ -9,18 +9,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ssmpipe.core.align.rigid import apply, move, reflection
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.errors import GeometryError
+from ssmpipe.core.mesh.closing import close_openings, weld
 from ssmpipe.core.mesh.distance import signed_point_to_mesh
-from ssmpipe.core.mesh.operators import vertex_normals
+from ssmpipe.core.mesh.operators import area, vertex_normals
+from ssmpipe.core.mesh.topology import boundary_loops
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.model.completion import Completion, complete
 from ssmpipe.core.model.remainder import LeaveOneOut, Remainder
 from ssmpipe.core.model.shape_model import ShapeModel
 from ssmpipe.core.repair.cleaning import clean
 from ssmpipe.core.repair.decimation import decimate
+from ssmpipe.core.repair.guided_filling import fill_towards
 from ssmpipe.io.arrays import write_npz
 from ssmpipe.io.codecs import write_json
 from ssmpipe.io.mesh_formats import vtp
@@ -74,6 +78,9 @@ def complete_fragment(
             f"{100 * beyond.mean():.0f} % of the fragment lies beyond the rim of the model and was not used; cut it if that is wrong"
         )
     matrix = to_model @ fragment.transform
+    filled, share = (None, 0.0)
+    if fragment.fill:
+        filled, share = _filled(placed, surface, model, warnings)
     back = np.asarray(np.linalg.inv(matrix))
     completed = move(surface, back)
     normals = vertex_normals(surface)
@@ -85,6 +92,8 @@ def complete_fragment(
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
         write_mesh(folder / "completed.ply", completed)
+        if filled is not None:
+            write_mesh(folder / "filled.ply", move(filled, back))
         data = {"sd_mm": spread, "sd_along_normal_mm": along, "seen": found.seen.astype(np.float64)}
         (folder / "completed.vtp").write_bytes(vtp.dump(completed.vertices, completed.faces, data))
         write_npz(
@@ -112,6 +121,7 @@ def complete_fragment(
                 **summary("from_scan", from_scan),
                 "seen_share": float(found.seen.mean()),
                 "expected_error_mm": found.expected_error,
+                "filled_share": share,
                 "mirrored": bool(np.linalg.det(flip) < 0),
                 "certificate": {"status": PARTIAL},
             },
@@ -119,10 +129,34 @@ def complete_fragment(
     return warnings
 
 
+def _filled(placed: TriMesh, surface: TriMesh, model: ShapeModel, warnings: list[str]) -> tuple[TriMesh, float]:
+    """Return the fragment with its holes filled along the completed surface, and the share of the area that is new.
+
+    Openings that lie at an opening of the model stay open, and so do those beyond it.
+    """
+    closed = close_openings(weld(surface) if model.topology in ("cone", "closed") else surface)
+    openings = [surface.vertices[loop] for loop in boundary_loops(surface.faces)]
+    reach = 0.05 * float(np.linalg.norm(np.ptp(surface.vertices, axis=0)))
+    chosen = []
+    for loop in boundary_loops(placed.faces):
+        rim = placed.vertices[loop]
+        at_opening = any(float(np.median(cKDTree(o).query(rim)[0])) < reach for o in openings)
+        off = float(np.median(np.abs(signed_point_to_mesh(rim, surface))))
+        if not at_opening and off < reach:
+            chosen.append(loop)
+    if not chosen:
+        warnings.append("the fragment has no opening that the model would close; filled.ply is the fragment as it is")
+        return placed, 0.0
+    try:
+        filled, _ = fill_towards(placed, chosen, closed)
+    except GeometryError as error:
+        warnings.append(f"the holes were not filled: {error.fact}; completed.ply holds the whole surface all the same")
+        return placed, 0.0
+    return filled, float(area(TriMesh(filled.vertices, filled.faces[placed.n_faces :])) / area(filled))
+
+
 def _beyond(placed: TriMesh, found: Completion) -> Any:
     """Return which vertices of the fragment lie beyond the completed surface: farther off than it is unsure, by far."""
-    from scipy.spatial import cKDTree
-
     reach = float(np.sqrt(((found.points - found.points.mean(axis=0)) ** 2).sum(axis=1).mean()))
     distance = cKDTree(found.points).query(placed.vertices)[0]
     return np.asarray(distance > 0.2 * reach)
