@@ -129,17 +129,6 @@ def pixels(made: Figure, dpi: int) -> np.ndarray:
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-def coarser(picture: np.ndarray, factor: int) -> np.ndarray:
-    """Return an (h, w, 3) uint8 picture with every ``factor`` x ``factor`` block of pixels averaged.
-
-    Examples
-    --------
-    >>> coarser(np.array([[[0, 0, 0], [100, 0, 8]]] * 2, dtype=np.uint8), 2)
-    array([[[50,  0,  4]]], dtype=uint8)
-    """
-    return np.asarray(Image.fromarray(picture).reduce(factor))
-
-
 def ramp_uri() -> str:
     """Return the signed colour scale as a narrow picture."""
     return png_uri((255 * SIGNED(np.tile(np.linspace(0, 1, 240), (12, 1)))[..., :3]).round().astype(np.uint8))

@@ -332,15 +332,17 @@ def _change(previous: StepShape | None, state: StepShape, frame: Floats, unit: s
     assert state.shape is not None
     after = state.shape.moved(frame @ np.linalg.inv(state.transform))
     if previous is None or previous.shape is None:
-        return Change(after=_draw(after, after, None, state.pattern))
+        drawn = after if state.pattern is not None else _small(after, after.diagonal / 120)
+        return Change(after=_draw(after, drawn, None, state.pattern))
     before = previous.shape.moved(frame @ np.linalg.inv(previous.transform))
     moved = _motion(state.transform @ np.linalg.inv(previous.transform), before, unit)
-    cell = before.diagonal / 180
+    cell = before.diagonal / 120
     small = [_small(g, cell) for g in (before, after)]
     apart = [locate(g.points, other.points, other.cells)[0] for g, other in zip(small, (after, before), strict=True)]
     everything = np.concatenate(apart)
     if float(everything.max()) <= SAME * before.diagonal:
-        return Change(after=_draw(before, after, None, state.pattern), moved=moved, same=True)
+        drawn = after if state.pattern is not None else small[1]
+        return Change(after=_draw(before, drawn, None, state.pattern), moved=moved, same=True)
     limit = nice_ceiling(float(np.quantile(everything, 0.995)))
     first, second = (_draw(before, g, d / limit, None) for g, d in zip(small, apart, strict=True))
     if state.pattern is not None:
@@ -349,7 +351,7 @@ def _change(previous: StepShape | None, state: StepShape, frame: Floats, unit: s
 
 
 def _small(shape: Geometry, cell: float) -> Geometry:
-    if shape.cells.shape[1] != 3 or len(shape.points) < 12000:
+    if shape.cells.shape[1] != 3 or len(shape.points) < 7000:
         return shape
     kept, faces = thinned(shape.points, shape.cells, cell)
     return Geometry(shape.points[kept], faces) if len(faces) else shape
@@ -398,7 +400,7 @@ def _draw(frame: Geometry, shape: Geometry, share: Floats | None, pattern: Any) 
     low, high = flat.min(axis=0), flat.max(axis=0)
     shot = picture(
         shape.points, shape.cells, view=view, centre=(low + high) / 2 @ axes, radius=0.53 * float((high - low).max()),
-        colours=colours, inches=_INCHES, dpi=_DPI,
+        colours=colours, inches=_INCHES, dpi=_DPI, finer=1.5,
     )  # fmt: skip
     return png_uri(shot, 96)
 

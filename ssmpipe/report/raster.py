@@ -7,6 +7,7 @@ import numpy as np
 from ssmpipe.core.arrays import Floats, Ints
 
 _LIGHT = np.array([-0.35, 0.45, 0.82])
+_RIM = 1e-5  # of a triangle: so much beyond its edge belongs to it, lest two neighbours leave a gap
 _BLOCK = 3_000_000  # pixels that are tested at a time
 
 
@@ -49,8 +50,8 @@ def rasterize(points: Floats, normals: Floats, faces: Ints, colours: Floats, siz
     area = (x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0]) - (x[:, 2] - x[:, 0]) * (y[:, 1] - y[:, 0])
     some = np.flatnonzero(np.abs(area) > 1e-9)
     x, y, values, area = x[some], y[some], values[some], area[some]
-    one = np.stack([y[:, 2] - y[:, 0], x[:, 0] - x[:, 2]], axis=1) / area[:, None]
-    two = np.stack([y[:, 0] - y[:, 1], x[:, 1] - x[:, 0]], axis=1) / area[:, None]
+    one = np.float32(np.stack([y[:, 2] - y[:, 0], x[:, 0] - x[:, 2]], axis=1) / area[:, None])
+    two = np.float32(np.stack([y[:, 0] - y[:, 1], x[:, 1] - x[:, 0]], axis=1) / area[:, None])
     left, right, top, bottom = (
         np.clip(edge, 0, size).astype(np.int64)
         for edge in (np.floor(x.min(axis=1)), np.ceil(x.max(axis=1)), np.floor(y.min(axis=1)), np.ceil(y.max(axis=1)))
@@ -66,10 +67,10 @@ def rasterize(points: Floats, normals: Floats, faces: Ints, colours: Floats, siz
         for start in range(0, len(group), rows):
             part = group[start : start + rows]
             column, row = left[part, None] + dx, top[part, None] + dy
-            px, py = column + 0.5 - x[part, :1], row + 0.5 - y[part, :1]
+            px, py = np.float32(column + 0.5 - x[part, :1]), np.float32(row + 0.5 - y[part, :1])
             w1 = one[part, :1] * px + one[part, 1:] * py
             w2 = two[part, :1] * px + two[part, 1:] * py
-            inside = (w1 >= -1e-9) & (w2 >= -1e-9) & (w1 + w2 <= 1 + 1e-9)
+            inside = (w1 >= -_RIM) & (w2 >= -_RIM) & (w1 + w2 <= 1 + _RIM)
             inside &= (column >= 0) & (column < size) & (row >= 0) & (row < size)
             which, _ = np.nonzero(inside)
             w = np.stack([1 - w1[inside] - w2[inside], w1[inside], w2[inside]], axis=1)

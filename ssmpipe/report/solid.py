@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.colors import to_rgb
+from PIL import Image
 
 from ssmpipe.core.arrays import Floats, Ints
-from ssmpipe.report.figures import BONE, coarser
+from ssmpipe.report.figures import BONE
 from ssmpipe.report.raster import rasterize
 
 
@@ -73,6 +74,7 @@ def picture(
     colours: Floats | None = None,
     inches: float = 2.2,
     dpi: int = 140,
+    finer: float = 2.0,
 ) -> np.ndarray:
     """Return an (h, w, 3) uint8 orthographic picture of a surface.
 
@@ -86,10 +88,15 @@ def picture(
         What the picture shows, so that several pictures share one scale.
     colours : (n_points, 3) float64, optional
         In [0, 1]; bone when absent.
+    inches, dpi
+        Side of the picture: their product, in pixels.
+    finer : float, default=2
+        Drawn so many times larger and averaged, for smooth rims.
     """
     if colours is None:
         colours = np.tile(to_rgb(BONE), (len(points), 1))
     axes = view_axes(*view)
     local = (points - centre) @ axes.T / radius
-    shot = rasterize(local, vertex_normals(points, faces) @ axes.T, faces, colours, 2 * round(inches * dpi))
-    return coarser(shot, 2)
+    size = round(inches * dpi)
+    shot = rasterize(local, vertex_normals(points, faces) @ axes.T, faces, colours, round(finer * size))
+    return np.asarray(Image.fromarray(shot).resize((size, size), Image.Resampling.BOX))

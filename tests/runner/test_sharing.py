@@ -12,7 +12,7 @@ from ssmpipe.runner.run import RunResult
 from ssmpipe.runner.sharing import share_report
 
 CHAIN = ["grow", "shift", "results", "report"]
-SECRETS = ("Miller_Anna", "Weber-1944", "bone.left.77", "Kowalski_12", "scans", "toys.yaml")
+SECRETS = ("Miller_Anna", "Weber-1944", "bone.left.77", "Kowalski_12", "scans/", "toys.yaml")
 
 
 @pytest.fixture

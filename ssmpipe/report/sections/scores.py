@@ -54,7 +54,7 @@ def column_kind(values: Sequence[str]) -> str:
 
 
 def _plot(data: ReportData, name: str, values: Sequence[str], kind: str) -> Figure:
-    scores = data.model.scores
+    scores = data.model.scores[:, : len(data.model.variances)]
     shares = data.model.variances / (data.model.variances.sum() or 1.0)
     pairs = [(0, 1), (2, 3)] if scores.shape[1] > 3 else [(0, min(1, scores.shape[1] - 1))]
     with style():
