@@ -50,8 +50,8 @@ def rasterize(points: Floats, normals: Floats, faces: Ints, colours: Floats, siz
     area = (x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0]) - (x[:, 2] - x[:, 0]) * (y[:, 1] - y[:, 0])
     some = np.flatnonzero(np.abs(area) > 1e-9)
     x, y, values, area = x[some], y[some], values[some], area[some]
-    one = np.float32(np.stack([y[:, 2] - y[:, 0], x[:, 0] - x[:, 2]], axis=1) / area[:, None])
-    two = np.float32(np.stack([y[:, 0] - y[:, 1], x[:, 1] - x[:, 0]], axis=1) / area[:, None])
+    one = (np.stack([y[:, 2] - y[:, 0], x[:, 0] - x[:, 2]], axis=1) / area[:, None]).astype(np.float32)
+    two = (np.stack([y[:, 0] - y[:, 1], x[:, 1] - x[:, 0]], axis=1) / area[:, None]).astype(np.float32)
     left, right, top, bottom = (
         np.clip(edge, 0, size).astype(np.int64)
         for edge in (np.floor(x.min(axis=1)), np.ceil(x.max(axis=1)), np.floor(y.min(axis=1)), np.ceil(y.max(axis=1)))
@@ -67,7 +67,9 @@ def rasterize(points: Floats, normals: Floats, faces: Ints, colours: Floats, siz
         for start in range(0, len(group), rows):
             part = group[start : start + rows]
             column, row = left[part, None] + dx, top[part, None] + dy
-            px, py = np.float32(column + 0.5 - x[part, :1]), np.float32(row + 0.5 - y[part, :1])
+            px, py = (
+                (at + 0.5 - start).astype(np.float32) for at, start in ((column, x[part, :1]), (row, y[part, :1]))
+            )
             w1 = one[part, :1] * px + one[part, 1:] * py
             w2 = two[part, :1] * px + two[part, 1:] * py
             inside = (w1 >= -_RIM) & (w2 >= -_RIM) & (w1 + w2 <= 1 + _RIM)
