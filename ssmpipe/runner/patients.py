@@ -97,7 +97,7 @@ def steps_of(
 
     transform: Floats = np.eye(4)
     steps = []
-    with contextlib.suppress(SsmpipeError):  # a scan that cannot be read has a page that says so
+    with contextlib.suppress(SsmpipeError, MemoryError):  # a scan that cannot be read has a page that says so
         given = workspace.sources[shape].load()
         transform = np.asarray(given.get("transform", transform))
         shapes = (_geometry(given.get(slot)) for slot in _SHAPES)

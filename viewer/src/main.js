@@ -90,6 +90,7 @@ function start(root) {
     $("name-a").textContent = words("patient");
     $("name-b").textContent = words("other");
     $("layout-row").hidden = !second;
+    root.querySelectorAll("[data-column]").forEach((item) => { item.hidden = item.dataset.column !== $("column").value; });
     $("landmark-key").hidden = !$("landmarks").checked;
     sliders.forEach((s) => {
       const value = current[s.dataset.mode];

@@ -61,6 +61,7 @@ class Pane {
     this.object.material.transparent = value < 1;
     this.object.material.depthWrite = value === 1;
     this.object.material.opacity = value;
+    this.object.material.needsUpdate = true;
   }
 }
 
@@ -146,11 +147,11 @@ export class View {
     this.draw();
   }
 
-  /** "one" shape, two "beside" each other under one camera, or the second drawn "over" the first, half transparent. */
+  /** "one" shape, two "beside" each other under one camera, or one "over" the other, both half transparent. */
   setLayout(layout) {
     if (layout === this.layout) return this.draw();
     this.layout = layout;
-    this.panes[1].opacity = layout === "over" ? 0.5 : 1;
+    for (const pane of this.panes) pane.opacity = layout === "over" ? 0.6 : 1; // either may lie inside the other
     const before = Math.min(1, this.camera.aspect);
     this.resize();
     const offset = this.camera.position.clone().sub(this.controls.target).multiplyScalar(before / Math.min(1, this.camera.aspect));

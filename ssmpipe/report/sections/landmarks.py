@@ -20,9 +20,16 @@ def render(data: ReportData) -> Section | None:
         "landmarks.html.j2",
         pivot=_pivot(table, data.unit),
         columns=dict(table.columns),
+        guided=_guided(data),
         comment=without_mm(table.comment) if data.unit == FILE_UNITS else table.comment,
     )
     return Section("landmarks", "Landmark transfer", html)
+
+
+def _guided(data: ReportData) -> bool:
+    """Whether the config names landmarks that guide the optimization."""
+    stages = (data.record.get("config") or {}).get("stages") or ()
+    return any((stage.get("optimize") or {}).get("guides") for stage in stages)
 
 
 def _pivot(table: Table, unit: str = "mm") -> dict | None:
