@@ -17,7 +17,11 @@ from ssmpipe.core.arrays import Floats
 from ssmpipe.core.errors import ConfigError, LandmarkError
 from ssmpipe.core.mesh.distance import surface_deviation
 from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.core.repair.decimation import decimate
 from ssmpipe.stages._align_outline import OUTLINE
+
+GROUP_FACES = 60_000
+"""Faces of the reference that `group` makes: the shapes are decimated to their shares of it [count]."""
 
 
 class Config(StageConfig):
@@ -112,7 +116,8 @@ def _group(meshes: dict[str, TriMesh], ctx: Context) -> TriMesh:
         ctx.warn(
             f"the group still turned by {turned[-1]:.2f} degrees in round {found.n_iterations}; that is the precision of its poses"
         )
-    return union(meshes, found.value)
+    share = max(1000, GROUP_FACES // len(meshes))
+    return union({i: decimate(mesh, share).mesh for i, mesh in meshes.items()}, found.value)
 
 
 def run(

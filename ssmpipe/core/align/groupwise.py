@@ -13,7 +13,6 @@ from ssmpipe.core.align.rigid import apply, homogeneous, move, rotation_angle
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.mesh.trimesh import TriMesh
-from ssmpipe.core.repair.decimation import decimate
 from ssmpipe.core.result import Result, Status
 
 
@@ -77,10 +76,9 @@ def align_group(
     return Result(poses, status, len(turned), history={"turned_deg": np.array(turned)})
 
 
-def union(meshes: Mapping[str, TriMesh], poses: Mapping[str, Floats], n_faces: int = 60_000) -> TriMesh:
-    """Return all shapes in their poses as one mesh of as many pieces, each decimated to its share of the faces."""
-    share = max(1000, n_faces // len(meshes))
-    pieces = [move(decimate(meshes[i], share).mesh, poses[i]) for i in sorted(meshes)]
+def union(meshes: Mapping[str, TriMesh], poses: Mapping[str, Floats]) -> TriMesh:
+    """Return all shapes in their poses as one mesh of as many pieces."""
+    pieces = [move(meshes[i], poses[i]) for i in sorted(meshes)]
     offsets = np.cumsum([0] + [piece.n_vertices for piece in pieces[:-1]])
     faces = np.vstack([piece.faces + offset for piece, offset in zip(pieces, offsets, strict=True)])
     return TriMesh(np.vstack([piece.vertices for piece in pieces]), faces)
