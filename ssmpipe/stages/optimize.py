@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated, Any, Literal
 
@@ -111,6 +112,13 @@ class Config(StageConfig):
         NamesShape(("nearest-to-mean", "none")),
         Field(description="Shape that is not reparameterized: nearest-to-mean, none, or a shape id."),
     ] = "nearest-to-mean"
+    start: Annotated[
+        Literal["auto", "identity", "affine"],
+        Field(
+            description="Where the maps begin. identity: as the shapes were parameterized; affine: near the closest points of the "
+            "reference on every shape after an affine registration; auto: affine for surfaces with normalize: affine and no guides."
+        ),
+    ] = "auto"
     coarse_to_fine: Annotated[bool, Field(description="Solve coarser nested spaces first, by knot insertion.")] = (
         _DEFAULT.coarse_to_fine
     )
@@ -213,12 +221,12 @@ def run(
     """Optimize, prove, and carry the result back to the scans."""
     ids = tuple(sorted(surface))
     splines = [surface[i] for i in ids]
-    chosen = cfg.model_dump(exclude={"lambda_cut", "reference", "boundary", "guides", "landmark_blocks"})
+    chosen = cfg.model_dump(exclude={"lambda_cut", "reference", "boundary", "guides", "landmark_blocks", "start"})
     chosen["landmark_blocks"] = None if cfg.landmark_blocks == "auto" else cfg.landmark_blocks
     chosen["lambda_cut"] = None if cfg.lambda_cut == "auto" else cfg.lambda_cut
     topology = _topology(ids, splines)
     chosen["boundary"] = _boundary(cfg.boundary, topology)
-    options = EngineOptions(**chosen, reference=_reference(cfg.reference, ids))
+    options = EngineOptions(**chosen, reference=_reference(cfg.reference, ids), start=_start(cfg, splines))
     start = time.perf_counter()
     elapsed: list[float] = []
 
@@ -312,6 +320,15 @@ def _topology(ids: tuple[str, ...], splines: list[Spline]) -> str:
                 "leave one kind out, or parameterize all of them the same way",
             )
     return kinds[0]
+
+
+def _start(cfg: Config, splines: Sequence[Spline]) -> Literal["identity", "affine"]:
+    """Resolve ``start: auto``; a cohort without a reference has nothing to register to."""
+    if cfg.start != "auto":
+        return cfg.start
+    surfaces = isinstance(splines[0], BSplineSurface) and splines[0].dimension == 3
+    settled = cfg.normalize == "affine" and not cfg.guides and cfg.reference != "none"
+    return "affine" if surfaces and settled else "identity"
 
 
 def _boundary(choice: str, topology: str) -> Any:
@@ -471,7 +488,7 @@ def _poles(spline: Spline) -> list[dict[str, Any]]:
 STAGE = Stage(
     name="optimize",
     scope="cohort",
-    version=9,
+    version=10,
     config=Config,
     run=run,
     inputs=(Port("surface", "surface"), Port("transform", "transform"), Port("landmarks", "landmarks", optional=True)),

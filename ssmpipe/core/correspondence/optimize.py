@@ -14,6 +14,7 @@ from ssmpipe.core.align.affine import affine_to_mean
 from ssmpipe.core.align.procrustes import Alignment, generalized_procrustes
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.checkpoints import Checkpoints
+from ssmpipe.core.correspondence.affine_start import affine_start, without_folds
 from ssmpipe.core.correspondence.barrier import Aggregate, Barrier
 from ssmpipe.core.correspondence.certificate import Certificate, certify
 from ssmpipe.core.correspondence.direction import apply_directions, components_first, components_last
@@ -93,6 +94,9 @@ class EngineOptions:
     sharpness : float
         ``K`` of the aggregate.
     reference : int or {"nearest-to-mean", "none"}
+    start : {"identity", "affine"}
+        ``affine``, for surfaces: maps, poses and normalization begin where the reference lies closest to every shape after an
+        affine registration (:func:`ssmpipe.core.correspondence.affine_start.affine_start`).
     coarse_to_fine : bool
         Whether coarser nested spaces of ``D`` are solved first, at the strongest barrier.
     guide_weight : float
@@ -132,6 +136,7 @@ class EngineOptions:
     aggregate: Aggregate = "each"
     sharpness: float = 15.0
     reference: int | Literal["nearest-to-mean", "none"] = "nearest-to-mean"
+    start: Literal["identity", "affine"] = "identity"
     coarse_to_fine: bool = False
     guide_weight: float = 1.0
     guide_mode: Literal["penalty", "interpolate"] = "penalty"
@@ -254,6 +259,10 @@ def optimize_correspondence(
     coefficients = np.repeat(
         cohort.space(levels[0] if levels else opts.n_coefficients).identity()[None], len(splines), axis=0
     )
+    if opts.start == "affine":
+        first = cohort.space(levels[0] if levels else opts.n_coefficients)
+        coefficients = cohort.affine_start(first)
+        cohort.refine_pose(coefficients, first)
     for n, n_next in pairwise([*levels, opts.n_coefficients]):
         coefficients = cohort.descend(coefficients, cohort.space(n), opts.barriers[:1], recorder)[0]
         coefficients = _refined(coefficients, cohort.space(n), cohort.space(n_next))
@@ -434,6 +443,13 @@ class _Cohort:
         if isinstance(spline, BSplineCurve):
             return BSplineCurve(spline.degree, spline.knots, control)
         return BSplineSurface(spline.degree, spline.knots_u, spline.knots_v, control)
+
+    def affine_start(self, space: Reparameterization) -> Floats:
+        """Return maps without folds near the affine closest points of the reference; see :mod:`.affine_start`."""
+        if space.n_directions != 2 or self.splines[0].dimension != 3:
+            raise GeometryError("start: affine is for surfaces", "use start: identity")
+        fixed = max(self.reference, 0)
+        return without_folds(self.objective(space), affine_start(self.raw, space, fixed))
 
     def refine_pose(self, coefficients: Floats, space: Reparameterization) -> bool:
         """Refine poses and normalization from the current correspondence; return whether that moved anything noticeably."""
