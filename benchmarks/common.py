@@ -71,6 +71,7 @@ def fresh(objective: GroupObjective, function: Callable[[], object]) -> Callable
     def run() -> object:
         if objective._last is not None:
             objective._last = (b"", objective._last[1])
+        objective._local = objective._along = None
         return function()
 
     return run

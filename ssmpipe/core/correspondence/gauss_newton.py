@@ -6,7 +6,9 @@ coefficients to movements of landmarks, ``W`` holds the landmark weights, and ``
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
@@ -36,6 +38,7 @@ def gauss_newton_inverse(
     tangents: tuple[Floats, ...],
     own: Floats,
     threads: int = 1,
+    moving: Ints | None = None,
 ) -> Callable[[Floats], Floats]:
     """Return the product of the inverse with a vector.
 
@@ -46,11 +49,13 @@ def gauss_newton_inverse(
     coupling : (m, m)
         ``c``, positive semidefinite.
     weights : (n_P,)
-    tangents : d_par arrays of (m, n_P, d)
-        ``S_u, S_v`` of every moving shape.
+    tangents : d_par arrays of (n_S, n_P, d)
+        ``S_u, S_v``.
     own : (m, n, n)
         Blocks of the shapes themselves, positive semidefinite.
     threads : int, default=1
+    moving : (m,) int, optional
+        Which shapes the ``m`` are; all by default.
 
     Returns
     -------
@@ -58,7 +63,7 @@ def gauss_newton_inverse(
         (m * n,) to (m * n,). Beyond ``FACTORED_UNKNOWNS`` it is approximate, but the same for the same input.
     """
     invert = _by_factor if own.shape[0] * own.shape[1] <= FACTORED_UNKNOWNS else _by_iteration
-    return invert(space, coupling, weights, tangents, own, threads)
+    return invert(space, coupling, weights, tangents, own, threads, np.arange(len(own)) if moving is None else moving)
 
 
 def _metric(first: tuple[Floats, ...], second: tuple[Floats, ...]) -> Floats:
@@ -82,13 +87,14 @@ def _by_factor(
     tangents: tuple[Floats, ...],
     own: Floats,
     threads: int,
+    moving: Ints,
 ) -> Callable[[Floats], Floats]:
     """Assemble all blocks and factor them."""
     m, n = own.shape[:2]
     whole = np.empty((m, n, m, n))
 
     def data(first: Ints, second: Ints) -> Floats:
-        metric = _metric(tuple(t[first] for t in tangents), tuple(t[second] for t in tangents))
+        metric = _metric(tuple(t[moving[first]] for t in tangents), tuple(t[moving[second]] for t in tangents))
         metric *= (coupling[first, second][:, None] * weights)[..., None, None]
         return space.normal_blocks(metric)
 
@@ -115,6 +121,21 @@ def _by_factor(
     return lambda vector: np.asarray(potrs(factor, vector, lower=1)[0])
 
 
+@lru_cache(maxsize=4)
+def _coarsened(space: Reparameterization) -> tuple[Ints, Reparameterization, list[Ints], list[Singles]]:
+    """Return every k-th landmark, the maps there, and per component of ``D`` its unknowns and their basis."""
+    n_d = space.n_directions
+    free = np.flatnonzero(space.free.ravel())
+    strides = [
+        max(1, len(u) // (_NODES_PER_SPAN * d.n_spans)) for u, d in zip(space.nodes, space.directions, strict=True)
+    ]
+    kept = np.arange(math.prod(space.grid)).reshape(space.grid)[tuple(slice(None, None, s) for s in strides)].ravel()
+    coarse = space.at(tuple(u[::s] for u, s in zip(space.nodes, strides, strict=True)))
+    components = [np.flatnonzero(free % n_d == c) for c in range(n_d)]
+    basis = coarse.rows_at(coarse.evaluate(coarse.identity()[None])[0])
+    return kept, coarse, components, [basis[:, free[c] // n_d].astype(np.float32) for c in components]
+
+
 def _by_iteration(
     space: Reparameterization,
     coupling: Floats,
@@ -122,6 +143,7 @@ def _by_iteration(
     tangents: tuple[Floats, ...],
     own: Floats,
     threads: int,
+    moving: Ints,
 ) -> Callable[[Floats], Floats]:
     """Apply the matrix instead of assembling it, on every k-th landmark and in single precision, which is precise enough here.
 
@@ -129,29 +151,28 @@ def _by_iteration(
     part the matrix into one block per mode.
     """
     m, n = own.shape[:2]
-    n_d = space.n_directions
-    free = np.flatnonzero(space.free.ravel())
-    strides = [
-        max(1, len(u) // (_NODES_PER_SPAN * d.n_spans)) for u, d in zip(space.nodes, space.directions, strict=True)
-    ]
-    kept = np.arange(len(weights)).reshape(space.grid)[tuple(slice(None, None, s) for s in strides)].ravel()
-    coarse = space.at(tuple(u[::s] for u, s in zip(space.nodes, strides, strict=True)))
+    kept, coarse, components, bases = _coarsened(space)
     weights = weights[kept] * (weights.sum() / weights[kept].sum())
-    tangents = tuple(t[:, kept] for t in tangents)
+    tangents = tuple(t[moving[:, None], kept] for t in tangents)
 
     metric = _metric(tangents, tangents)
     mean_data = coarse.normal_blocks(metric.mean(axis=0) * weights[:, None, None])
     strength, modes = np.linalg.eigh(coupling)
     strength = np.maximum(strength, 1e-12 * strength[-1])
-    inverses = np.linalg.inv(_shifted(strength[:, None, None] * mean_data + own.mean(axis=0))).astype(np.float32)
+    mean_own = own.mean(axis=0)
+
+    def inverse(part: slice) -> Singles:
+        whole = _shifted(strength[part, None, None] * mean_data + mean_own)
+        return np.asarray(np.linalg.inv(whole), dtype=np.float32)
+
+    inverses = np.concatenate(map_blocks(inverse, m, _SHAPES_PER_BLOCK, threads))
     modes = modes.astype(np.float32)
 
     moves = [(np.ascontiguousarray(np.swapaxes(t, 1, 2)) * np.sqrt(weights)).astype(np.float32) for t in tangents]
-    components = [np.flatnonzero(free % n_d == c) for c in range(n_d)]
-    basis = coarse.rows_at(coarse.evaluate(coarse.identity()[None])[0])
-    bases = [basis[:, free[c] // n_d].astype(np.float32) for c in components]
     diagonal = np.trace(own, axis1=1, axis2=2) + np.diagonal(coupling) * np.trace(mean_data)
-    blocks = (own + (1e-8 / n * diagonal)[:, None, None] * np.eye(n)).astype(np.float32)
+    blocks = own.astype(np.float32)
+    every = np.arange(n)
+    blocks[:, every, every] += (1e-8 / n * diagonal)[:, None].astype(np.float32)
     pull = coupling.astype(np.float32)
 
     def separate(residual: Singles) -> Singles:

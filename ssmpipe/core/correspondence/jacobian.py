@@ -247,6 +247,10 @@ class LocalJacobian:
             return self._of._extracted(g[0][:, 0])
         return self._of._extracted(g[0][:, 0] * g[1][:, 1] - g[0][:, 1] * g[1][:, 0])
 
+    def part(self, block: slice) -> LocalJacobian:
+        """Return the same for some shapes."""
+        return LocalJacobian(self._of, [g[block] for g in self.gradients])
+
     def along(self, direction: Floats) -> tuple[Floats, Floats]:
         """Return ``J1, J2`` with ``J(b + a d) = J(b) + a J1 + a^2 J2`` exactly."""
         g, h = self.gradients, self._of._gradients(direction)

@@ -290,9 +290,14 @@ class GroupObjective:
             self._along = key, self._jacobian_at(x).along(self._direction(direction))
         return self._along[1]
 
-    def spectral_gradient(self, x: Floats) -> tuple[float, Floats]:
-        """Return the spectral function and its gradient in the unknowns, by the adjoint [2.20]."""
+    def spectral_gradient(self, x: Floats, beside: Callable[[slice], None] | None = None) -> tuple[float, Floats]:
+        """Return the spectral function and its gradient in the unknowns, by the adjoint [2.20].
+
+        ``beside`` is called with every block of shapes, on the thread that has it.
+        """
         if self.sums is not None:
+            if beside is not None:
+                beside(slice(0, self.stack.n_shapes))
             spectrum = self._spectrum(x)
             pulled = self.sums.pull_back(self.coefficients(x), spectrum.slope_product(self.spectral))
             return spectrum.value(self.spectral), pulled[self.moving][:, self._free].ravel()
@@ -319,6 +324,8 @@ class GroupObjective:
                 each = zip(jet.points[block], evaluation.rotations[block], d_points, strict=True)
                 d_points = np.stack([align_to_adjoint(p, self.target, evaluation.weights, r, d) for p, r, d in each])
                 d_parameters[block] = np.stack([_dot(d_points, s[block]) for s in jet.first], axis=-1)
+            if beside is not None:
+                beside(block)
             if through is not None:
                 d_parameters[block] += through[block]
             d_slopes = tuple(
@@ -358,15 +365,21 @@ class GroupObjective:
         if not np.isfinite(penalty):
             return np.inf, np.zeros_like(x)
         moving = self._moved(x)
+        extra = np.zeros_like(moving)
+        slope = self.constraint.slope(self.jacobians(x)) if self.barrier > 0 else extra
+
+        def walls(block: slice) -> None:
+            some = slice(*np.searchsorted(self.moving, (block.start, block.stop)))
+            if self.barrier > 0 and some.start < some.stop:
+                extra[some] = self.barrier * self._jacobian_at(x).part(some).pull_back(slope[some])
+
         if self.other_gradient is None:
-            value, gradient = self.spectral_gradient(x)
+            value, gradient = self.spectral_gradient(x, walls)
         else:
             value, gradient = self.spectral_value(x), self.other_gradient(self, x)
-        extra = np.zeros_like(moving)
+            walls(slice(0, self.stack.n_shapes))
         if self.barrier > 0:
             value += self.barrier * penalty
-            local = self._jacobian_at(x)
-            extra += self.barrier * local.pull_back(self.constraint.slope(local.values))
         if self.prior > 0:
             displacement = moving - self._identity
             bent = self._bent(displacement)
@@ -451,10 +464,10 @@ class GroupObjective:
                 block += np.stack([self.guides.hessian(int(i))[free[:, None], free] for i in moving[part]])
             return block
 
-        tangents = tuple(t[moving] for t in self._posed(evaluation, evaluation.jet.first))
+        tangents = self._posed(evaluation, evaluation.jet.first)
         free = np.flatnonzero(self._free.ravel())
         blocks = np.concatenate(map_blocks(own, len(moving), SHAPES_PER_BLOCK, threads))
-        solve = gauss_newton_inverse(evaluation.space, coupling, evaluation.weights, tangents, blocks, threads)
+        solve = gauss_newton_inverse(evaluation.space, coupling, evaluation.weights, tangents, blocks, threads, moving)
         return lambda vector: self._keep_gauge(solve(vector))
 
     def _posed(self, evaluation: Evaluation, fields: tuple[Floats, ...]) -> tuple[Floats, ...]:
