@@ -137,22 +137,25 @@ def echo_gradient(_c: Content, rows: tuple[Any, ...], unknowns: Floats, _slope: 
     return [np.zeros_like(unknowns) for _ in rows]
 
 
-def overhead(n: int, engine: Counting, repeats: int = 100) -> tuple[float, float, float]:
-    """Return the least and the median time of an iteration's messages [ms], and their bytes [MB]."""
+def overhead(n: int, engine: Counting, repeats: int = 100) -> tuple[float, float, float, float, float]:
+    """Return least and median time of an iteration's messages, CPU time here and in the busier worker [ms], and bytes [MB]."""
     content = Content("none", np.zeros)  # type: ignore[arg-type]
     unknowns = np.random.default_rng(0).normal(size=(n, 72))
     slope = SlopeProduct(np.random.default_rng(1).normal(size=(n, n)))
     shares = [((0, 1), (1, 2)), ((2, 3), (3, 4))]
     times = []
+    workers, here = np.array(engine.engine.call(time.process_time, [(), ()])), time.process_time()
     for _ in range(repeats):
         begin = time.perf_counter()
         engine.engine.call(echo_gram, [(content, share, unknowns) for share in shares])
         engine.engine.call(echo_gradient, [(content, share, unknowns, slope) for share in shares])
         times.append(1e3 * (time.perf_counter() - begin))
+    here = 1e3 * (time.process_time() - here) / repeats
+    there = 1e3 * (np.array(engine.engine.call(time.process_time, [(), ()])) - workers).max() / repeats
     before = engine.bytes
     engine.call(echo_gram, [(content, share, unknowns) for share in shares])
     engine.call(echo_gradient, [(content, share, unknowns, slope) for share in shares])
-    return min(times), median(times), (engine.bytes - before) / 1e6
+    return min(times), median(times), here, float(there), (engine.bytes - before) / 1e6
 
 
 def main() -> None:
@@ -165,11 +168,13 @@ def main() -> None:
     print(f"load of the machine when this began: {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors\n")
     with tempfile.TemporaryDirectory() as folder, engines(Path(folder)) as found, threadpool_limits(1):
         print(f"messages of one iteration, {args.overhead} shapes, nothing computed")
-        print(f"{'engine':<24} {'least ms':>9} {'median ms':>10} {'MB':>7}")
+        print("engine                    least ms  median ms  CPU ms here  CPU ms in a worker     MB")
         for name, engine in found.items():
             if isinstance(engine, Counting):
-                least, middle, moved = overhead(args.overhead, engine)
-                print(f"{name:<24} {least:>9.1f} {middle:>10.1f} {moved:>7.2f}")
+                least, middle, here, there, moved = overhead(args.overhead, engine)
+                print(
+                    f"{name:<24} {least:>9.1f} {middle:>10.1f} {here:>12.1f} {there:>19.1f} {moved:>6.2f}", flush=True
+                )
         splines = cohort(args.shapes)
         print(f"\n{args.shapes} shapes, {args.iterations} iterations")
         print(
