@@ -13,6 +13,7 @@ from ssmpipe.core.mesh.topology import boundary_loops, euler_characteristic
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.stages import orient, trim
 from tests.support.femora import femur, landmark, needs_femora
+from tests.support.meshes import aortic_root
 
 
 def go(mesh: TriMesh, points: dict[str, list[float]] | None = None, **options):
@@ -54,6 +55,33 @@ class TestTube:
     def test_fractions_must_rise(self):
         with pytest.raises(ValidationError, match="end_fractions must rise"):
             trim.Config(ends=2, end_fractions=(0.5, 0.5))
+
+
+class TestSinuses:
+    def test_both_cuts_count_from_the_sinuses(self):
+        mesh, ctx = go(aortic_root(), ends=2, ends_at="sinuses", below_sinuses=0.5, tube_mm=45.0)
+        assert heights(mesh) == pytest.approx([-2.0, 43.0], abs=0.8)
+        assert np.diff(heights(mesh))[0] == pytest.approx(45.0, abs=0.3)
+        assert not ctx.warnings
+        mesh, _ = go(aortic_root(), ends=2, ends_at="sinuses", below_sinuses=0.0)
+        assert heights(mesh) == pytest.approx([5.0, 59.5], abs=0.6)
+
+    def test_a_scan_that_ends_too_early_is_continued_or_cut_at_its_rim_and_says_so(self):
+        options = {"ends": 2, "ends_at": "sinuses", "below_sinuses": 0.5, "tube_mm": 45.0}
+        mesh, ctx = go(aortic_root(end=40.0), **options, extend_mm=6.0)
+        assert heights(mesh)[1] == pytest.approx(43.0, abs=0.8)
+        assert "was continued by the curvature" in ctx.warnings[0]
+        mesh, ctx = go(aortic_root(end=40.0), **options, extend_mm=1.0)
+        assert heights(mesh)[1] == pytest.approx(39.5, abs=0.1)
+        assert "before trim.tube_mm: 45, more than trim.extend_mm" in ctx.warnings[0]
+
+    def test_a_tube_without_sinuses_is_cut_at_its_rims_and_says_so(self):
+        mesh, ctx = go(tube(10.0, 60.0), ends=2, ends_at="sinuses")
+        assert heights(mesh) == pytest.approx([0.5, 59.5], abs=1e-6)
+        assert "no sinuses were found" in ctx.warnings[0]
+        assert ctx.metrics["sinuses"] == "not found"
+        with pytest.raises(ValidationError, match="tube_mm counts from the sinuses"):
+            trim.Config(ends=2, tube_mm=30.0)
 
 
 class TestOneEnd:

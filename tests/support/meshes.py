@@ -85,3 +85,15 @@ def implicit_surface(function: Callable[[np.ndarray], np.ndarray], reach: float,
     grid = np.stack(np.meshgrid(t, t, t, indexing="ij"), axis=-1).reshape(-1, 3)
     vertices, faces, _ = igl.marching_cubes(function(grid), grid[:, [0, 1, 2]], n, n, n, 0.0)
     return TriMesh(vertices, faces)
+
+
+def aortic_root(
+    size: float = 3.0, start: float = -6.0, end: float = 60.0, *, waves: int = 3, width: float = 14.0
+) -> TriMesh:
+    """Return a straight tube along z whose sections have lobes around z = 12: their wave has half its size at 5 and 19 [mm]."""
+    plain = tube(1.0, end - start, 72, int((end - start) / 0.8))
+    angle = np.arctan2(plain.vertices[:, 1], plain.vertices[:, 0])
+    z = plain.vertices[:, 2] + start
+    bell = np.exp(-np.log(2.0) * ((z - 12.0) / 7.0) ** 2)
+    radius = width + size * bell * (1.0 + 0.6 * np.cos(waves * angle)) + 1.5 / (1.0 + np.exp(-(z - 32.0) / 4.0))
+    return TriMesh(np.column_stack([radius * np.cos(angle), radius * np.sin(angle), z]), plain.faces)

@@ -192,6 +192,17 @@ def cost(source: PointSurface, target: PointSurface, matrix: Floats) -> float:
     return float(np.sqrt(0.5 * (squared[:n].mean() + squared[n:].mean())))
 
 
+def distance(source: PointSurface, target: PointSurface, matrix: Floats) -> float:
+    """Return the root mean square of distances to the nearest point, both ways [mm].
+
+    It chooses among poses: along normals, what stands out beyond the end of an open tube would cost nothing.
+    """
+    points, goals, _ = pairs(source, target, matrix)
+    squared = ((goals - points) ** 2).sum(axis=1)
+    n = len(squared) - (len(target.points) if target.active is None else int(target.active.sum()))
+    return float(np.sqrt(0.5 * (squared[:n].mean() + squared[n:].mean())))
+
+
 def screen(source: PointSurface, target: PointSurface, start: Floats, n_iterations: int = 15) -> tuple[Floats, float]:
     """Run a short point-to-point ICP (Besl and McKay 1992), meant for few points; returns the motion and its cost [mm]."""
     matrix = np.array(start)
@@ -278,7 +289,7 @@ def align(
         factor = _spread(all_points[1]) / _spread(all_points[0])
     unmoved = homogeneous(factor * np.eye(3), (1.0 - factor) * middle)
     matrix, n_iterations, converged = refine(*all_points, unmoved, scaled=scaled)
-    identity_cost = cost(*all_points, matrix)
+    identity_cost, identity_distance = cost(*all_points, matrix), distance(*all_points, matrix)
     best = IcpResult(matrix, identity_cost, "identity", n_iterations, converged, identity_cost)
     starts = [unmoved, *(m @ unmoved for m in axis_starts(source, target))]
     if isinstance(region, Ball):
@@ -287,14 +298,12 @@ def align(
     screened = [screen(*few, start) for start in starts]
     order = np.argsort([c for _, c in screened], kind="stable")[:n_refined]
     candidates = [(refine(*some, screened[k][0], scaled=scaled)[0], int(k)) for k in order]
-    found, k = min(candidates, key=lambda c: (cost(*all_points, c[0]), c[1]))
-    if cost(*all_points, found) < (1.0 - 0.5 * margin) * identity_cost:
+    found, k = min(candidates, key=lambda c: (distance(*all_points, c[0]), c[1]))
+    if distance(*all_points, found) < (1.0 - 0.5 * margin) * identity_distance:
         matrix, n_iterations, converged = refine(*all_points, found, scaled=scaled)
-        other = cost(*all_points, matrix)
-        if other < (1.0 - margin) * identity_cost:
-            best = IcpResult(
-                matrix, other, "screened" if k == 0 else f"axes-{k}", n_iterations, converged, identity_cost
-            )
+        if distance(*all_points, matrix) < (1.0 - margin) * identity_distance:
+            start = "screened" if k == 0 else f"axes-{k}"
+            best = IcpResult(matrix, cost(*all_points, matrix), start, n_iterations, converged, identity_cost)
     if not scaled:
         return best
     scale = _scale(best.matrix)

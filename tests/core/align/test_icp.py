@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ssmpipe.core.align.icp import align, fits_better_mirrored
+from ssmpipe.core.align.icp import PointSurface, align, cost, distance, fits_better_mirrored
 from ssmpipe.core.align.medoid import distribution_distances, medoid
-from ssmpipe.core.align.rigid import move, reflection, rotation_angle
-from ssmpipe.core.mesh.primitives import sphere, star_shape
+from ssmpipe.core.align.rigid import homogeneous, move, reflection, rotation_angle
+from ssmpipe.core.mesh.primitives import sphere, star_shape, tube
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.repair.trimming import trim
 from tests.support.meshes import noisy, random_motion, relabeled
@@ -29,6 +29,14 @@ def test_open_pieces_align_too():
     piece, rng = trim(star_shape(4), np.zeros(3), np.array([0, 0.3, 1.0])), np.random.default_rng(1)
     motion = random_motion(rng)
     assert rotation_angle(align(move(piece, motion), piece).matrix @ motion) < 1e-3
+
+
+def test_what_stands_out_beyond_an_open_end_counts():
+    """A pose in which a tube has slid out of the other one is no better, however well it fits along the normals."""
+    pipe = PointSurface.of(tube(5.0, 40.0), 2000)
+    slid = homogeneous(np.eye(3), np.array([0.0, 0.0, 15.0]))
+    assert cost(pipe, pipe, slid) < 0.3
+    assert distance(pipe, pipe, slid) > 4.0
 
 
 def test_the_given_pose_stays_unless_clearly_wrong():

@@ -7,23 +7,12 @@ from ssmpipe.core.align.rigid import apply, move
 from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.mesh.primitives import tube
 from ssmpipe.core.mesh.topology import boundary_loops
-from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.repair.sinuses import find_sinuses, planes_at_sinuses
 from ssmpipe.core.repair.tube_ends import openings
-from tests.support.meshes import random_motion, relabeled
+from tests.support.meshes import aortic_root, random_motion, relabeled
 
 MIDDLE, HALF = 12.0, 7.0
 """Where the wave of the lobes is largest, and how far from there it has half its size [mm]."""
-
-
-def root(size: float, start: float = -6.0, end: float = 60.0, waves: int = 3, width: float = 14.0) -> TriMesh:
-    """Return a straight root: a tube along z whose sections have lobes around the height ``MIDDLE``."""
-    plain = tube(1.0, end - start, 72, int((end - start) / 0.8))
-    angle = np.arctan2(plain.vertices[:, 1], plain.vertices[:, 0])
-    z = plain.vertices[:, 2] + start
-    bell = np.exp(-np.log(2.0) * ((z - MIDDLE) / HALF) ** 2)
-    radius = width + size * bell * (1.0 + 0.6 * np.cos(waves * angle)) + 1.5 / (1.0 + np.exp(-(z - 32.0) / 4.0))
-    return TriMesh(np.column_stack([radius * np.cos(angle), radius * np.sin(angle), z]), plain.faces)
 
 
 def rims(mesh):
@@ -32,7 +21,7 @@ def rims(mesh):
 
 @pytest.mark.parametrize(("size", "start", "width"), [(3.0, -6.0, 14.0), (1.2, -3.0, 11.0), (4.0, 2.0, 16.0)])
 def test_the_ends_of_the_lobes_are_found_whatever_their_size(size, start, width):
-    mesh = root(size, start, width=width)
+    mesh = aortic_root(size, start, width=width)
     found = find_sinuses(mesh, rims(mesh))
     assert len(boundary_loops(mesh.faces)) == 2
     assert found.height == pytest.approx(2 * HALF, abs=0.7)
@@ -46,13 +35,13 @@ def test_the_ends_of_the_lobes_are_found_whatever_their_size(size, start, width)
 
 
 def test_a_scan_that_starts_inside_the_sinuses_is_continued_by_symmetry():
-    mesh = root(3.0, start=MIDDLE - 5.0)
+    mesh = aortic_root(3.0, start=MIDDLE - 5.0)
     lower, _ = planes_at_sinuses(find_sinuses(mesh, rims(mesh)), 0.0, None)
     assert lower.point[2] == pytest.approx(MIDDLE - HALF, abs=1.2)
 
 
 def test_motion_and_order_move_the_planes_along():
-    mesh = root(2.5)
+    mesh = aortic_root(2.5)
     rng = np.random.default_rng(3)
     motion = random_motion(rng)
     other, _ = relabeled(move(mesh, motion), rng)
@@ -69,7 +58,7 @@ def test_motion_and_order_move_the_planes_along():
 
 @pytest.mark.parametrize(
     ("mesh", "words"),
-    [(tube(12.0, 60.0), "does not widen"), (root(3.0, waves=2), "no three lobes")],
+    [(tube(12.0, 60.0), "does not widen"), (aortic_root(3.0, waves=2), "no three lobes")],
     ids=["plain", "oval"],
 )
 def test_what_has_no_sinuses_is_told(mesh, words):
