@@ -45,7 +45,7 @@ def draw(folder: Path, target: Path) -> None:
             panel.set_xlim(centre[0] - radius, centre[0] + radius)
             panel.set_ylim(-centre[1] - radius, -centre[1] + radius)
     figure.tight_layout(pad=0.3)
-    figure.savefig(target, dpi=110, metadata={"Software": None})
+    figure.savefig(target, dpi=110, bbox_inches="tight", pad_inches=0.05, metadata={"Software": None})
     plt.close(figure)
 
 

@@ -36,6 +36,10 @@ def write_config(
         raise ConfigError(f"there is no folder {scans_dir}")
     tables = ("cohort.csv", "landmarks.csv")
     files = by_id([path for path in scan_files([scans_dir], suffixes_read) if path.name not in tables])
+    if not files:
+        raise ConfigError(
+            f"no scans in the folder {scans_dir}, only tables", f"give the folder that holds them{_inner(scans_dir)}"
+        )
     suffixes = Counter(path.suffix for path in files.values())
     scans = scans_dir / f"*{suffixes.most_common(1)[0][0]}" if len(suffixes) == 1 else scans_dir
     cohort = _beside(scans_dir, ("cohort.csv",))
@@ -50,6 +54,10 @@ def write_config(
     if landmarks is None:
         lines.append("no landmarks.json beside the scans: geometry decides where a step could use a landmark")
     return [*lines, f"next: ssmpipe check {target}, then ssmpipe run {target}"]
+
+
+def _inner(scans_dir: Path) -> str:
+    return f", {scans_dir / 'scans'} perhaps" if (scans_dir / "scans").is_dir() else ""
 
 
 def _beside(scans_dir: Path, names: tuple[str, ...]) -> Path | None:

@@ -207,6 +207,10 @@ def test_init_writes_a_config_that_loads(call: Call, scans: Path, tmp_path: Path
         target.write_text(with_options)
         assert call("run", target, "-n").exit_code == 0
     assert call("init", "disk", scans, "-o", tmp_path / "disk.yaml").exit_code == 2
+    (tmp_path / "hands/scans").mkdir(parents=True)
+    (tmp_path / "hands/landmarks.csv").write_text("id,landmark,x,y\n")
+    result = call("init", "curve", tmp_path / "hands", "-o", tmp_path / "hands.yaml")
+    assert (result.exit_code, "hands/scans perhaps" in result.output) == (2, True)
     (tmp_path / "empty").mkdir()
     result = call("init", "disk", tmp_path / "empty", "-o", tmp_path / "e.yaml")
     assert (result.exit_code, "no scans in the folder" in result.output) == (2, True)
