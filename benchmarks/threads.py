@@ -16,10 +16,13 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from statistics import median
+from typing import Any
 
 from threadpoolctl import threadpool_limits
 
 from benchmarks.common import fresh, group_objective, head, inside, moving_bumps
+from ssmpipe.core.blocks import map_blocks
+from ssmpipe.core.correspondence import covariance, gauss_newton, objective
 
 _BYTES = bytes(4_000_000)
 
@@ -37,12 +40,50 @@ def idle(pool: ThreadPoolExecutor) -> bool:
     return two < 1.15 * one
 
 
+def shares(n_shapes: int, repeats: int = 9) -> None:
+    """Print which share of the CPU time of one thread lies inside the blocks, and the best that two threads can make of it."""
+    f = group_objective(moving_bumps(n_shapes))
+    x = inside(f)
+    spent = [0.0]
+
+    def counted(*arguments: Any) -> list[Any]:
+        begin = time.process_time()
+        out = map_blocks(*arguments)
+        spent[0] += time.process_time() - begin
+        return out
+
+    for module in (objective, covariance, gauss_newton):
+        module.map_blocks = counted  # type: ignore[attr-defined]
+    for name, run in (
+        ("gradient", fresh(f, lambda: f.value_and_gradient(x))),
+        ("preconditioner", lambda: f.preconditioner(x)),
+    ):
+        run()
+        found = []
+        for _ in range(repeats):
+            spent[0], begin = 0.0, time.process_time()
+            run()
+            found.append(spent[0] / (time.process_time() - begin))
+        share = median(found)
+        print(
+            f"{n_shapes:4} shapes, {name:14} {share:4.0%} inside the blocks, two threads at most {1 / (1 - share / 2):.2f}"
+        )
+    for module in (objective, covariance, gauss_newton):
+        module.map_blocks = map_blocks  # type: ignore[attr-defined]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--shapes", type=int, default=34)
     parser.add_argument("--samples", type=int, default=21)
     parser.add_argument("--budget", type=float, default=60.0, help="seconds to wait for idle cores")
+    parser.add_argument("--shares", action="store_true", help="only the share of the work that threads can have")
     args = parser.parse_args()
+    if args.shares:
+        head("Share of the work inside the blocks, 51 x 51 landmarks, 8 x 8 coefficients")
+        for n in (12, 34, 100):
+            shares(n)
+        return
     head(f"Threads, {args.shapes} shapes, 51 x 51 landmarks, 8 x 8 coefficients")
     splines = moving_bumps(args.shapes)
     results: dict[int, list[bytes]] = {}
