@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 _ALLOWED_DEATHS = 3
 _WAIT_S = 60
+_QUIET: dict[str, Any] = {"dashboard": False, "dashboard_address": "127.0.0.1:0"}
+"""No page to look at, and the server that would show it is not seen by other machines."""
 
 
 def is_loopback(host: str) -> bool:
@@ -118,7 +120,7 @@ def slurm_cluster(slurm: SlurmConfig, folder: Path) -> Any:
         shared_temp_directory=str(folder),
         log_directory=str(folder),
         local_directory=str(folder),
-        scheduler_options={"dashboard": False},
+        scheduler_options=_QUIET,
         job_script_prologue=["export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1"],
         job_extra_directives=list(slurm.directives),
     )
@@ -175,7 +177,8 @@ def open_cluster(config: RunConfig, scheduler: str, jobs: int, folder: Path, bas
                     threads_per_worker=1,
                     processes=True,
                     host="127.0.0.1",
-                    dashboard_address=None,
+                    dashboard_address=_QUIET["dashboard_address"],
+                    scheduler_kwargs={"dashboard": False},
                     memory_limit=0,
                     local_directory=str(folder),
                     silence_logs=logging.CRITICAL,
@@ -207,6 +210,8 @@ def open_cluster(config: RunConfig, scheduler: str, jobs: int, folder: Path, bas
                 client.close()
                 if cluster is not None:
                     cluster.close()
+                for secret in folder.glob(".dask-jobqueue.worker.*"):
+                    secret.unlink(missing_ok=True)
 
 
 @contextmanager
