@@ -94,14 +94,14 @@ def test_a_mirror_mirrors_the_patch():
     flip = np.diag([-1.0, 1.0, 1.0, 1.0])
     mirrored = closed(TriMesh(apply(flip, HOLED.vertices), HOLED.faces[:, ::-1]))
     away = point_to_mesh(apply(flip, mirrored.vertices), closed(HOLED))[0]
-    assert away.max() < 1e-2
-    assert volume(mirrored) == pytest.approx(volume(closed(HOLED)), rel=1e-5)
+    assert away.max() < 1e-9
+    assert volume(mirrored) == pytest.approx(volume(closed(HOLED)), rel=1e-12)
 
 
 def test_the_order_of_vertices_does_not_matter():
     shuffled, _ = relabeled(HOLED, np.random.default_rng(5))
     away = point_to_mesh(closed(shuffled).vertices, closed(HOLED))[0]
-    assert away.max() < 1e-6
+    assert away.max() < 1e-9
 
 
 @pytest.mark.parametrize("n_faces", [1, 2, 3])

@@ -1,0 +1,112 @@
+"""Pose, side and numbering of a scan change nothing: every mesh stage commutes with them, beyond what is cut in a given frame."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from ssmpipe.contract import Context
+from ssmpipe.core.align.rigid import apply, reflection
+from ssmpipe.core.mesh.distance import surface_deviation
+from ssmpipe.core.mesh.operators import volume
+from ssmpipe.core.mesh.primitives import sphere, star_shape
+from ssmpipe.core.mesh.topology import boundary_loops, compact, euler_characteristic
+from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.stages import decimate, fill_holes, repair, smooth, trim
+from tests.support.meshes import bent_tube, joined, random_motion, relabeled
+
+
+def hurt() -> TriMesh:
+    """Return a lump with two needles, a crumpled place and a speck beside it."""
+    lump, rng = star_shape(4), np.random.default_rng(0)
+    vertices = lump.vertices.copy()
+    vertices[[100, 900]] *= [[1.5], [1.4]]
+    near = np.linalg.norm(vertices - vertices[2000], axis=1) < 3.0
+    vertices[near] += 1.5 * rng.normal(size=(int(near.sum()), 3))
+    speck = sphere(1.0, 1)
+    return joined(TriMesh(vertices, lump.faces), TriMesh(speck.vertices + [90.0, 0, 0], speck.faces))
+
+
+def holed() -> TriMesh:
+    pipe = bent_tube(40, 51)
+    far = np.linalg.norm(pipe.vertices - [10.0, 0.0, 15.6], axis=1) > 1.8
+    return compact(pipe, far[pipe.faces].all(axis=1))
+
+
+CASES = {
+    "repair": (repair, {}, hurt()),
+    "fill-holes": (fill_holes, {"keep_openings": 2}, holed()),
+    "trim both ends": (trim, {"ends": 2}, bent_tube(40, 51)),
+    "smooth taubin": (smooth, {}, star_shape(3)),
+    "smooth bilaplacian": (smooth, {"method": "bilaplacian"}, bent_tube()),
+    "smooth curvature-flow": (smooth, {"method": "curvature-flow"}, bent_tube()),
+}
+
+
+def go(stage, mesh: TriMesh, options) -> TriMesh:
+    ctx = Context("shape", np.random.default_rng(0), logging.getLogger("test"))
+    inputs = {"landmarks": None} if any(port.slot == "landmarks" for port in stage.STAGE.inputs) else {}
+    return stage.run(mesh=mesh, **inputs, cfg=stage.Config(**options), ctx=ctx)["mesh"]
+
+
+def changed(mesh: TriMesh, way: str) -> tuple[TriMesh, np.ndarray]:
+    """Return the mesh in another pose, numbered otherwise, or mirrored, and the matrix of that."""
+    rng = np.random.default_rng(3)
+    if way == "order":
+        return relabeled(mesh, rng)[0], np.eye(4)
+    matrix = random_motion(rng) @ (reflection(1) if way == "mirror" else np.eye(4))
+    faces = mesh.faces[:, ::-1] if way == "mirror" else mesh.faces
+    return TriMesh(apply(matrix, mesh.vertices), faces), matrix
+
+
+@pytest.mark.parametrize("way", ["motion", "order", "mirror"])
+@pytest.mark.parametrize("name", list(CASES))
+def test_stages_commute_with_pose_side_and_numbering(name, way):
+    stage, options, mesh = CASES[name]
+    expected = go(stage, mesh, options)
+    other, matrix = changed(mesh, way)
+    found = go(stage, other, options)
+    assert (found.n_vertices, found.n_faces) == (expected.n_vertices, expected.n_faces)
+    away, partner = cKDTree(found.vertices).query(apply(matrix, expected.vertices))
+    assert away.max() < 1e-6
+    assert len(np.unique(partner)) == found.n_vertices
+    assert volume(found) == pytest.approx(volume(expected), rel=1e-9)
+
+
+@pytest.mark.parametrize("way", ["motion", "order", "mirror"])
+def test_decimation_moves_the_surface_no_farther_in_another_pose(way):
+    # equal errors are collapsed in another order: not the same triangles, but the same surface within its error
+    mesh = star_shape(4)
+    expected = go(decimate, mesh, {"n_faces": 1500})
+    other, matrix = changed(mesh, way)
+    back = go(decimate, other, {"n_faces": 1500})
+    back = TriMesh(apply(np.linalg.inv(matrix), back.vertices), back.faces)
+    one, two = (surface_deviation(m, mesh, 5000) for m in (expected, back))
+    assert back.n_faces == expected.n_faces
+    assert two.rms == pytest.approx(one.rms, rel=0.15)
+    assert surface_deviation(back, expected, 5000).rms < 2 * one.rms
+
+
+def test_each_stage_keeps_the_euler_characteristic_that_it_should():
+    after = {name: go(stage, mesh, options) for name, (stage, options, mesh) in CASES.items()}
+    assert {name: euler_characteristic(mesh.faces) for name, mesh in after.items()} == {
+        "repair": 2,
+        "fill-holes": 0,
+        "trim both ends": 0,
+        "smooth taubin": 2,
+        "smooth bilaplacian": 0,
+        "smooth curvature-flow": 0,
+    }
+    assert len(boundary_loops(after["fill-holes"].faces)) == 2
+
+
+@pytest.mark.parametrize("name", ["repair", "fill-holes"])
+def test_twice_is_once(name):
+    stage, options, mesh = CASES[name]
+    once = go(stage, mesh, options)
+    twice = go(stage, once, options)
+    assert np.array_equal(twice.vertices, once.vertices)
+    assert np.array_equal(twice.faces, once.faces)
