@@ -1,8 +1,9 @@
-"""Run the presets on many families with known truth, as a new user would, and write ``docs/families.md``.
+"""Run the presets on many families with known truth, as a new user would: ``init``, ``check``, ``run``; print what comes out.
 
-    python docs/make_families.py [--work FOLDER] [--only NAME ...] [--seed N] [--jobs N]
+    python docs/make_families.py [--work FOLDER] [--only NAME ...] [--seed N] [--jobs N] [--set KEY=VALUE ...] [--pictures]
 
-The cohorts come from public packages (fetched from PyPI into FOLDER; nothing of them is kept here).
+The cohorts come from public packages (fetched from PyPI into FOLDER; nothing of them is kept here). FOLDER keeps the scans, the truth,
+what the commands said, and ``row.json`` with the figures of every family.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 
 HERE = Path(__file__).resolve().parent
@@ -22,6 +24,7 @@ sys.path.insert(0, str(HERE))
 
 from baselines import register  # noqa: E402
 from family_cohorts import Family, families  # noqa: E402
+from make_femur_proximal import draw_lines, save  # noqa: E402
 
 from ssmpipe.core.mesh.distance import point_to_mesh  # noqa: E402
 from ssmpipe.core.mesh.trimesh import TriMesh  # noqa: E402
@@ -134,6 +137,19 @@ def study(family: Family, work: Path, seed: int, jobs: int, sets: list[str]) -> 
     return row
 
 
+def picture(family: Family, out: Path) -> None:
+    """The same parameters on four shapes after the optimization, and where u = 0 runs."""
+    z = np.load(out / "cohort" / "optimize" / "correspondence.npz")
+    points = z["points"].reshape(len(z["ids"]), *z["grid"], 3)
+    if str(z["topology"]) != "disk":
+        points = np.concatenate([points, points[:, :1]], axis=1)
+    figure, panels = plt.subplots(1, 4, figsize=(13, 4), subplot_kw={"projection": "3d"})
+    for axes, k in zip(panels, np.linspace(0, len(points) - 1, 4).astype(int), strict=True):
+        draw_lines(axes, points[k], family.view)
+        axes.set_title(str(z["ids"][k]), fontsize=9)
+    save(figure, f"family_{family.name}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--work", type=Path, default=Path(tempfile.mkdtemp()))
@@ -141,6 +157,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--set", action="append", default=[])
+    parser.add_argument("--pictures", action="store_true")
     options = parser.parse_args()
     for family in families(options.work / "wheels"):
         if options.only and family.name not in options.only:
@@ -158,6 +175,8 @@ def main() -> None:
             f"{row['seconds']:.0f} s",
             flush=True,
         )
+        if options.pictures and "after" in row:
+            picture(family, options.work / f"{family.name}-{options.seed}" / "out" / "config")
         if "after_shape" in row:
             print("   per shape", {k: round(float(v), 1) for k, v in row["after_shape"].items()}, flush=True)
         for key, value in row["failures"].items():

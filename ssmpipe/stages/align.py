@@ -22,6 +22,8 @@ from ssmpipe.stages._align_outline import OUTLINE
 
 GROUP_FACES = 60_000
 """Faces of the reference that `group` makes: the shapes are decimated to their shares of it [count]."""
+# of the reference's size and radius; bones and organs of one kind stay below 1.6 and 0.13
+_STRANGE_SCALE, _STRANGE_SHARE = 2.5, 0.2
 
 
 class Config(StageConfig):
@@ -142,7 +144,10 @@ def run(
     ctx.metric("cost_mm", result.cost)
     ctx.metric("turned_deg", rotation_angle(result.matrix))
     ctx.metric("start", result.start)
+    ctx.metric("scale", result.scale)
     ctx.metric("n_iterations", result.n_iterations)
+    if region is None and ball is None:
+        _warn_of_strangers(reference, result, ctx)
     if not result.converged:
         ctx.warn(
             f"alignment stopped after {result.n_iterations} iterations before it settled; check the overlay in the report"
@@ -176,6 +181,21 @@ def _ball(marks: Landmarks, cfg: Config) -> Ball | None:
     return Ball(np.asarray(center), cfg.region_radius_mm)
 
 
+def _warn_of_strangers(reference: TriMesh, result: IcpResult, ctx: Context) -> None:
+    """Warn of a shape that is much larger or smaller than the reference, or unlike it at equal size."""
+    if not 1.0 / _STRANGE_SCALE < result.scale < _STRANGE_SCALE:
+        ctx.warn(
+            f"the shape is {1.0 / result.scale:.3g} times as large as the reference; check the units of its file, and that it shows the "
+            "same anatomy"
+        )
+    share = result.cost / float(np.sqrt(reference.vertices.var(axis=0).sum()))
+    if share > _STRANGE_SHARE:
+        ctx.warn(
+            f"the shape does not resemble the reference: at equal size their distance is {100 * share:.0f} % of its radius; check that it "
+            "shows the same anatomy, and take it out of the cohort if not"
+        )
+
+
 def _better_image(
     mesh: TriMesh,
     marks: Landmarks,
@@ -188,12 +208,12 @@ def _better_image(
 ) -> tuple[TriMesh, Landmarks, Floats, IcpResult]:
     """Mirror a shape when its mirror image fits better; say so, and warn when neither is clearly better."""
     mirrored = other.cost < result.cost
-    # what fits to rounding fits alike
-    rounding = 1e-6 * float(np.linalg.norm(np.ptp(reference.vertices, axis=0)))
-    best, worst = (cost + rounding for cost in sorted((result.cost, other.cost)))
+    best, worst = sorted((result.cost, other.cost))
+    # a thousandth of the size is less than the spacing of the points can tell
+    fine = 1e-3 * float(np.linalg.norm(np.ptp(reference.vertices, axis=0)))
     ctx.metric("mirrored", mirrored)
     ctx.metric("other_image_cost_mm", worst)
-    if best > (1.0 - cfg.chirality_margin) * worst:
+    if best > (1.0 - cfg.chirality_margin) * worst or worst < fine:
         ctx.warn(
             f"left and right fit almost alike (distance {best:.3g} and {worst:.3g}); it was {'' if mirrored else 'not '}mirrored: "
             "check the overlay, or give a column 'side' and set orient.mirror"

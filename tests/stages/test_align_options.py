@@ -10,6 +10,7 @@ from ssmpipe.contract import Context, Landmarks
 from ssmpipe.core.align.rigid import apply, move, reflection
 from ssmpipe.core.mesh.operators import volume
 from ssmpipe.core.mesh.primitives import sphere, star_shape
+from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.stages import align
 from tests.support.meshes import random_motion
 
@@ -49,3 +50,15 @@ def test_region_is_checked():
     lump = star_shape(3)
     outputs, _ = go(lump, lump, region=(0.2, 0.9), region_axis="x")
     assert outputs["transform"] == pytest.approx(np.eye(4), abs=1e-6)
+
+
+def test_strangers_are_told():
+    lump = star_shape(3)
+    _, ctx = go(move(lump, np.eye(4)), lump)
+    assert not ctx.warnings
+    large = TriMesh(10.0 * lump.vertices, lump.faces)
+    _, ctx = go(large, lump)
+    assert "10 times as large as the reference; check the units" in ctx.warnings[0]
+    rod = TriMesh(lump.vertices * [0.2, 0.2, 3.0], lump.faces)
+    _, ctx = go(rod, lump, check_mirror=False)
+    assert any("does not resemble the reference" in w for w in ctx.warnings)
