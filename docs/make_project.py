@@ -144,6 +144,41 @@ def complete_parts(work: Path, held: str, data: Path, only: str = "") -> list[tu
     return rows
 
 
+def draw(work: Path, held: str, name: str, out: Path) -> None:
+    """Write a picture: the fragment, the scan with its hole filled, and how unsure the completed surface is."""
+    from matplotlib import colormaps
+    from matplotlib.figure import Figure
+
+    from ssmpipe.report.solid import picture
+
+    folder = work / f"part-{held}-{name.replace(' ', '-')}"
+    with np.load(folder / "out/patients" / held / "projection.npz") as found:
+        matrix, deviation, completed = found["transform"], found["deviation"], found["points"]
+    part = move(read_mesh(folder / f"{held}.ply"), matrix)
+    filled = move(read_mesh(folder / "out/patients" / held / "filled.ply"), matrix)
+    faces = read_model(work / f"without-{held}/cohort/model/model.npz").faces
+    spread = np.sqrt((deviation**2).mean(axis=1))
+    limit = float(np.ceil(spread.max()))
+    centre = (completed.min(axis=0) + completed.max(axis=0)) / 2
+    radius = 1.05 * float(np.linalg.norm(completed - centre, axis=1).max())
+    figure = Figure(figsize=(9, 3.4), dpi=110)
+    plain = np.tile([0.86, 0.82, 0.74], (max(part.n_vertices, filled.n_vertices), 1))
+    shown = (
+        ("what was given", part.vertices, part.faces, plain[: part.n_vertices]),
+        ("filled", filled.vertices, filled.faces, plain[: filled.n_vertices]),
+        (f"standard deviation, 0 to {limit:.0f} mm", completed, faces, colormaps["viridis"](spread / limit)[:, :3]),
+    )
+    for k, (title, points, cells, colours) in enumerate(shown):
+        panel = figure.add_subplot(1, 3, k + 1)
+        panel.imshow(
+            picture(points, cells, view=(120.0, 15.0), centre=centre, radius=radius, colours=colours, inches=3.0)
+        )
+        panel.set_title(title, fontsize=9)
+        panel.set_axis_off()
+    figure.tight_layout()
+    figure.savefig(out)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, required=True)
@@ -152,18 +187,28 @@ def main() -> None:
     parser.add_argument(
         "--parts", action="store_true", help="complete fragments; needs the projections of a former call"
     )
+    parser.add_argument("--cut", default="", choices=["", *CUTS], help="one kind of fragment only")
+    parser.add_argument("--draw", action="store_true", help="picture of one fragment (--only, --cut) of a former call")
     given = parser.parse_args()
     data, work = given.data.resolve(), given.work.resolve()
     scans = sorted((data / "scans").glob("*.ply"))
     marks = read_landmarks(data / "landmarks.json")
     joint = work / "joint"
+    if given.draw:
+        draw(work, given.only[0], given.cut, ROOT / "docs/figures/project_completion.png")
+        return
     if given.parts:
         print(
             "| left out | missing | share | error | 95 % | mean shape | sd | within 2 sd |\n|---|---|---|---|---|---|---|---|",
             flush=True,
         )
-        rows = [r for p in scans if not given.only or p.stem in given.only for r in complete_parts(work, p.stem, data)]
-        for name in CUTS:
+        rows = [
+            r
+            for p in scans
+            if not given.only or p.stem in given.only
+            for r in complete_parts(work, p.stem, data, given.cut)
+        ]
+        for name in sorted({r[1] for r in rows}):
             of = np.array([r[2:7] for r in rows if r[1] == name], dtype=float).mean(axis=0)
             print(
                 f"| all | {name} | {100 * of[0]:.0f} % | {of[1]:.2f} | {of[2]:.2f} | {of[3]:.2f} | | {100 * of[4]:.0f} % |"
