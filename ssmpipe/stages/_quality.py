@@ -59,7 +59,8 @@ def measure_quality(
         if spline is not None and given is not None:
             pairs += [("fit_", spline, target), ("fit_back_", target, spline)]
         for prefix, a, b in pairs:
-            row |= _figures(prefix, distances(a, b, n_samples), size)
+            n = n_samples if a.cells.shape[1] == 3 else max(n_samples // 5, 1)  # a curve needs fewer than a surface
+            row |= _figures(prefix, distances(a, b, n), size)
         rows.append(row)
         signed.append(signed_distances(rebuilt[k], target))
         ctx.progress(k + 1, n_shapes, "reconstructed from the others")
@@ -93,6 +94,6 @@ def _tell(rows: list[dict[str, Any]], ctx: Context) -> None:
         if value > _UNUSUAL * usual > 0:
             ctx.warn(
                 f"{row['id']}: the other shapes reproduce it {value / usual:.1f} times worse than they reproduce each other "
-                f"(99 % of its surface within {100 * value:.2g} % of its size); look at its page in the report: a wrong side, a "
+                f"(99 % of it within {100 * value:.2g} % of its size); look at its page in the report: a wrong side, a "
                 "wrong trim, a swapped region or an unusual patient"
             )
