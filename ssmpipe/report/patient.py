@@ -202,7 +202,7 @@ def _viewer(page: PatientPage) -> Section | None:
         rebuilt=len(payload["maps"]) > 0,
         landmarks=marks,
     )
-    return Section("shape", "The shape in 3-D", html)
+    return Section("shape", "The outline" if model.mean.shape[1] == 2 else "The shape in 3-D", html)
 
 
 def _numbers(page: PatientPage) -> Section | None:

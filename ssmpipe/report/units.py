@@ -8,6 +8,7 @@ from typing import Any
 
 FILE_UNITS = "file units"
 _MM = re.compile(r"\bmm\b")
+_KEY = re.compile(r"_mm([23]?)$")
 
 
 def without_mm(text: str) -> str:
@@ -51,9 +52,7 @@ def _text(value: Any) -> Any:
 def _stage(stage: Mapping[str, Any]) -> dict[str, Any]:
     made = dict(stage)
     if stage.get("metrics"):
-        made["metrics"] = {
-            key[:-3] + "_unit" if key.endswith("_mm") else key: _text(value) for key, value in stage["metrics"].items()
-        }
+        made["metrics"] = {_KEY.sub(r"_unit\1", key): _text(value) for key, value in stage["metrics"].items()}
     if stage.get("warnings"):
         made["warnings"] = [_text(text) for text in stage["warnings"]]
     return made

@@ -92,7 +92,8 @@ def label(key: str) -> str:
     words = key.split("_")
     unit = (
         words.pop()
-        if len(words) > 1 and words[-1] in {"mm", "mm2", "mm3", "s", "deg", "rad", "nat", "percent", "unit"}
+        if len(words) > 1
+        and words[-1] in {"mm", "mm2", "mm3", "s", "deg", "rad", "nat", "percent", "unit", "unit2", "unit3"}
         else ""
     )
     if words and words[0] == "n" and len(words) > 1:

@@ -40,13 +40,18 @@ def test_without_units_no_millimetre_is_said(run: SmallRun) -> None:
     record = dict(arguments["record"])
     record["config"] = {**record["config"], "input": {"units": "none"}}
     record["cohort_stages"] = [
-        {"stage": "optimize", "metrics": {"residual_mm": 1.0}, "warnings": ["a hole of 3.1 mm was left"]}
+        {
+            "stage": "optimize",
+            "metrics": {"residual_mm": 1.0, "area_mm2": 2.0},
+            "warnings": ["a hole of 3.1 mm was left"],
+        }
     ]
     html = build_report(**{**arguments, "record": record})
     page = text_of(re.sub(r"<(script|style).*?</\1>", "", html, flags=re.DOTALL))
-    assert not re.findall(r".{20}\bmm\b.{9}", page)
+    assert not re.findall(r".{20}\bmm(?:[²³]|\b).{9}", page)
     assert "a hole of 3.1 file units was left" in page
     assert "residual [file units]" in page
+    assert "area [file units²]" in page
     assert '"unit":"file units"' in html or '"unit": "file units"' in html
 
 

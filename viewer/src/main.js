@@ -14,8 +14,10 @@ function start(root) {
   const sliders = [...root.querySelectorAll("input[data-mode]")];
   const walks = [...root.querySelectorAll("button[data-walk]")];
   const groups = data.groups ?? [];
-  const ramp = data.colours.map(linear);
-  const bone = linear(data.bone);
+  const flat = model.faces.length === 0; // a curve: distances have no sign, and thin lines need dark colours
+  const stops = flat ? ["#17608f", "#8a5a86", "#c4421d"] : data.colours;
+  const ramp = stops.map(linear);
+  const bone = linear(flat ? stops[0] : data.bone);
   const panes = [0, 1].map(() => ["points", "normals", "colours"].map(() => new Float32Array(model.nPoints * 3)));
   const current = new Float32Array(model.nModes); // sliders show it in steps of 0.1; a patient's scores are kept exactly
   let walk = null;
@@ -49,7 +51,8 @@ function start(root) {
 
   function paint(colours, distance, limit) {
     for (let i = 0; i < model.nPoints; i++) {
-      const x = Math.min(1, Math.max(0, 0.5 + distance[i] / limit / 2)) * (ramp.length - 1);
+      const share = flat ? distance[i] / limit : 0.5 + distance[i] / limit / 2;
+      const x = Math.min(1, Math.max(0, share)) * (ramp.length - 1);
       const k = Math.min(ramp.length - 2, Math.floor(x));
       for (let d = 0; d < 3; d++) colours[3 * i + d] = ramp[k][d] + (x - k) * (ramp[k + 1][d] - ramp[k][d]);
     }
@@ -82,8 +85,9 @@ function start(root) {
     $("legend").hidden = !mapped;
     if (mapped) {
       const about = how.startsWith("map") ? words("colour") : how === "other" ? `Distance from ${words("other")}` : "Distance from the mean";
-      $("caption").textContent = `${about}, ${how.startsWith("map") ? "outwards positive" : "along the outward normal of the mean"}`;
-      $("low").textContent = `\u2212${limit} ${data.unit}`;
+      const signs = flat ? "" : how.startsWith("map") ? ", outwards positive" : ", along the outward normal of the mean";
+      $("caption").textContent = about + signs;
+      $("low").textContent = flat ? "0" : `\u2212${limit} ${data.unit}`;
       $("high").textContent = `+${limit} ${data.unit}`;
     }
     $("name-a").hidden = $("name-b").hidden = layout !== "beside";
@@ -160,7 +164,7 @@ function start(root) {
     link.click();
   });
   const bar = root.querySelector("[data-control=ramp]");
-  if (bar) bar.style.background = `linear-gradient(90deg, ${data.colours.join(",")})`;
+  if (bar) bar.style.background = `linear-gradient(90deg, ${stops.join(",")})`;
   root.querySelectorAll("[data-swatch]").forEach((s) => { s.style.background = s.dataset.swatch; });
   view.resize();
   view.look(...data.look);
