@@ -13,7 +13,7 @@ from ssmpipe.report.payload import cohort_columns, groups_of
 from ssmpipe.report.sections.modes import nice_ceiling
 from ssmpipe.report.solid import vertex_normals
 from tests.support.chromium import Browser, find_chromium
-from tests.support.small_run import small_run
+from tests.support.small_run import planar_run, small_run
 
 pytestmark = [
     pytest.mark.browser,
@@ -239,3 +239,20 @@ def test_nothing_sticks_out_on_a_telephone(page: Browser) -> None:
     page.evaluate(SETTLE)
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     page.send("Emulation.clearDeviceMetricsOverride")
+
+
+def test_an_outline_has_distances_without_a_sign(tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    path.write_text(build_report(**planar_run("curve-closed").arguments()), encoding="utf-8")
+    with Browser() as browser:
+        browser.open(path)
+        browser.evaluate(SETTLE)
+        assert browser.evaluate("document.getElementById('viewer').dataset.state") == "ready"
+        mean = picture(browser)
+        slide(browser, 0, 2)
+        assert picture(browser) != mean
+        assert browser.evaluate("document.querySelector('[data-control=low]').textContent") == "0"
+        # mode 1 moves every point by (1, 1) / 30 per unit, and its standard deviation is the root of 2
+        limit = nice_ceiling(2 * 2**0.5 * 2**0.5 / 30)
+        assert browser.evaluate("document.querySelector('[data-control=high]').textContent") == f"+{limit:g} mm"
+        assert browser.of("Runtime.exceptionThrown") == []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -142,6 +142,31 @@ def small_run(
     return SmallRun(
         small_record(ids), correspondence, model, measures, transfer, history, certificate, quality, landmarks
     )
+
+
+def planar_run(topology: str) -> SmallRun:
+    """The same with outlines in the plane, which all are a circle."""
+    run = small_run()
+    n_shapes, n = len(run.model.ids), 30
+    angle = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    mean = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    u = np.tile(np.linspace(0, 1, n)[:, None], (n_shapes, 1, 1))
+    shared = {"grid": (n,), "faces": np.zeros((0, 3), dtype=np.int64), "topology": topology}
+    model = replace(
+        run.model,
+        mean=mean,
+        modes=np.ones((2, n, 2)) / n,
+        variances=np.array([2.0, 1.0]),
+        scores=run.model.scores[:, :2],
+        **shared,
+    )
+    planar = {
+        name: np.tile(mean, (n_shapes, 1, 1))
+        for name in ("points", "points_scan", "initial_points", "initial_points_scan")
+    }
+    marks = {i: {name: p[:2] / 40 for name, p in own.items()} for i, own in run.landmarks.items()}
+    correspondence = replace(run.correspondence, parameters=u, **planar, **shared)
+    return replace(run, model=model, correspondence=correspondence, landmarks=marks)
 
 
 def small_quality(ids: tuple[str, ...], rng: np.random.Generator) -> Table:
