@@ -65,6 +65,7 @@ def test_a_cohort_runs_and_a_bad_shape_is_named(
     assert (config.parent / "out/cohort").is_dir()
 
 
+@pytest.mark.slow
 def test_children_end_with_their_parent(
     elsewhere: dict[str, str],
     write_config: Callable[..., Path],  # noqa: F811

@@ -84,3 +84,30 @@ def test_without_opencascade_the_extra_is_named(tmp_path: Path, monkeypatch: pyt
     done = CliRunner().invoke(main, ["export", str(result), "-o", str(tmp_path / "m.step")])
     assert done.exit_code == 3
     assert "pip install 'ssmpipe[cad]'" in done.output
+
+
+def test_types_of_the_statismo_file(tmp_path: Path) -> None:
+    """Scalismo casts arrays to Float and Int and wants fixed-length scalar strings; anything else is not read."""
+    model = shape_model("tube")
+    export(write_model(model, tmp_path / "out"), tmp_path / "m.h5")
+    n, k = len(model.mean), len(model.variances)
+    with h5py.File(tmp_path / "m.h5") as file:
+        shapes = {
+            "representer/points": (3, n), "model/mean": (3 * n,), "model/pcaBasis": (3 * n, k), "model/pcaVariance": (k,),
+            "model/noiseVariance": (), "modelinfo/scores": (k, len(model.ids)),
+        }  # fmt: skip
+        for name, shape in shapes.items():
+            assert (file[name].shape, file[name].dtype) == (shape, np.float32), name
+        assert (file["representer/cells"].shape, file["representer/cells"].dtype) == ((3, len(model.faces)), np.int32)
+        versions = ("version/majorVersion", "version/minorVersion")
+        assert [(int(file[v][()]), file[v].dtype) for v in versions] == [(0, np.int32), (9, np.int32)]
+        texts = ["modelinfo/build-time", "modelinfo/modelBuilder-0/builderName", "modelinfo/modelBuilder-0/buildTime"]
+        for name in [*texts, "modelinfo/modelBuilder-0/dataInfo/URI_0"]:
+            assert (file[name].shape, file[name].dtype.kind) == ((), "S"), "fixed length, scalar"
+        assert {key: value.dtype.kind for key, value in file["representer"].attrs.items()} == dict.fromkeys(
+            ("name", "version", "datasetType"), "S"
+        )
+        assert {"pointData", "cellData"} <= set(file["representer"])
+        np.testing.assert_allclose(file["modelinfo/scores"][:].std(axis=1, ddof=1), 1, atol=1e-5)
+        basis = file["model/pcaBasis"][:].astype(float)
+        np.testing.assert_allclose(basis.T @ basis, np.eye(k), atol=1e-5)
