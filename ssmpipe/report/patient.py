@@ -17,7 +17,7 @@ from ssmpipe.core.evaluation.quality import Geometry
 from ssmpipe.core.model.shape_model import ShapeModel
 from ssmpipe.core.outline.outline import edge_indices
 from ssmpipe.report.build import assemble
-from ssmpipe.report.figures import AFTER, BEFORE, BONE, SIGNED_STOPS, figure, png_uri, style, svg_uri
+from ssmpipe.report.figures import AFTER, BEFORE, BONE, SIGNED_STOPS, figure, pixels, png_uri, style, svg_uri
 from ssmpipe.report.page import fill
 from ssmpipe.report.payload import in_space, landmark_places, quantized, quantized_map, viewer_payload
 from ssmpipe.report.pseudonyms import Pseudonyms
@@ -416,7 +416,7 @@ def _draw_curve(frame: Geometry, shape: Geometry) -> str:
             line = np.concatenate([ends, np.full_like(ends[:, :1], np.nan)], axis=1).reshape(-1, ends.shape[2])
             panel.plot(line[:, 0], line[:, 1], color=colour, linewidth=width)
         panel.set_aspect("equal")
-        return svg_uri(made)
+        return png_uri(pixels(made, 2 * _DPI), 32)
 
 
 def checkers(uv: Floats, n: int = 10) -> np.ndarray:
