@@ -1,4 +1,4 @@
-"""Hooks of mkdocs: leave pages that do not exist out of the navigation, name files outside the site instead of linking them."""
+"""Hooks of mkdocs: a navigation of the pages that are there, and the names of files outside the site instead of links to them."""
 
 from __future__ import annotations
 
@@ -11,9 +11,24 @@ _LINK = re.compile(r"(?<!!)\[([^\]]+)\]\((?!https?:|mailto:|#)([^)#\s]+)(#[^)\s]
 
 
 def on_config(config: Any) -> Any:
-    """Drop navigation entries without a page."""
-    config["nav"] = _existing(config["nav"], Path(config["docs_dir"]))
+    """Drop navigation entries without a page, and list pages without an entry under "More"."""
+    config["nav"] = complete(config["nav"], Path(config["docs_dir"]))
     return config
+
+
+def complete(nav: list[Any], folder: Path) -> list[Any]:
+    """Return a navigation that holds every page of the folder once."""
+    kept = _existing(nav, folder)
+    pages = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*.md"))
+    more = [page for page in pages if page not in listed(kept)]
+    return [*kept, {"More": more}] if more else kept
+
+
+def listed(nav: Any) -> list[str]:
+    """Return the pages of a navigation in their order."""
+    if isinstance(nav, str):
+        return [nav]
+    return [page for entry in (nav.values() if isinstance(nav, dict) else nav) for page in listed(entry)]
 
 
 def _existing(nav: list[Any], folder: Path) -> list[Any]:

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from ruamel.yaml import YAML
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -53,10 +54,12 @@ def test_links_lead_to_files(path: Path) -> None:
         assert (path.parent / target).exists(), target
 
 
-def test_every_page_is_in_the_navigation() -> None:
-    named = set(re.findall(r"[\w./-]+\.md", (ROOT / "mkdocs.yml").read_text(encoding="utf-8")))
-    there = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
-    assert there <= named
+def test_every_page_is_in_the_navigation_once() -> None:
+    hooks = runpy.run_path(str(DOCS / "hooks.py"))
+    nav = YAML(typ="safe").load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"]
+    pages = hooks["listed"](hooks["complete"](nav, DOCS))
+    assert sorted(pages) == sorted(path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md"))
+    assert pages[0] == "index.md"
 
 
 def test_commands_of_the_tutorials_are_known() -> None:
