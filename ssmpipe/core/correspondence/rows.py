@@ -28,6 +28,8 @@ MANY_SHAPES = 64
 """From so many shapes on the rows are parted by default; below, an iteration takes less time than it takes to ask others."""
 DEFAULT_BLOCKS = 4
 _REMEMBERED = 2
+_LANDMARKS_AT_ONCE = 10_000
+"""Of all shapes together; as many as four shapes have on the whole default grid."""
 Rows = tuple[int, int]
 SlopeProduct = Callable[[Floats], Floats]
 
@@ -62,6 +64,7 @@ class LandmarkRows:
         self._weights = weights
         shape = (stack.n_shapes, space.n_directions, math.prod(space.grid))
         self._parameters, self._d_parameters = np.empty(shape), np.empty(shape)
+        self._shapes_at_once = max(SHAPES_PER_BLOCK, _LANDMARKS_AT_ONCE // shape[2])
         self._jet: Jet | None = None
         self._centred: Floats | None = None
         self._at = b""
@@ -75,7 +78,7 @@ class LandmarkRows:
         def some(block: slice) -> None:
             stack.evaluate_some(block, self._space.evaluate(coefficients[block], self._parameters[block]), jet)
 
-        map_blocks(some, stack.n_shapes, SHAPES_PER_BLOCK, stack.threads)
+        map_blocks(some, stack.n_shapes, self._shapes_at_once, stack.threads)
         self._centred, spectrum = centred_spectrum(
             jet.points, self._weights, threads=stack.threads, evaluator=stack.evaluator, out=self._centred
         )
@@ -101,7 +104,7 @@ class LandmarkRows:
         parts = map_blocks(
             lambda block: self._space.displacements_transposed(out[block]),
             stack.n_shapes,
-            SHAPES_PER_BLOCK,
+            self._shapes_at_once,
             stack.threads,
         )
         return np.concatenate(parts)
