@@ -12,6 +12,9 @@ from ssmpipe.core.mesh.topology import boundary_loops, loop_length
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.repair.trimming import trim
 
+CUBIC = 0.5
+"""A cubic continues the course when it leaves less than this share of what a quadratic leaves: not where noise rules [-]."""
+
 FIT_MM = 6.0
 """Length of the strip inside the rim whose course is continued [mm]."""
 
@@ -20,8 +23,9 @@ def extend(mesh: TriMesh, loop: Ints, direction: Floats, length: float, *, fit: 
     """Add a strip of a given length to a clean rim.
 
     From every vertex of the rim a path is followed inward on the surface, opposite to ``direction``. A quadratic in the arc
-    length is fitted to it, its coefficients are smoothed around the rim by a Fourier series with waves no shorter than
-    ``fit``, and the quadratics are evaluated outward. The new rim is not planar: cut it afterwards.
+    length is fitted to it (a cubic where that leaves less than half: on smooth scans), its coefficients are smoothed around the
+    rim by a Fourier series with waves no shorter than ``fit``, and it is evaluated outward. The new rim is not planar: cut it
+    afterwards.
 
     Parameters
     ----------
@@ -47,10 +51,8 @@ def extend(mesh: TriMesh, loop: Ints, direction: Floats, length: float, *, fit: 
     """
     outward = np.asarray(direction, dtype=np.float64) / np.linalg.norm(direction)
     paths, at = _march_inward(mesh, mesh.vertices[loop], outward, fit)
-    # quadratic per path: powers of the (negative) arc length, normalized so that the numbers stay near one
-    powers = np.stack([np.ones_like(at), at / fit, (at / fit) ** 2], axis=-1)
-    normal = np.einsum("kni,knj->nij", powers, powers)
-    coefficients = np.linalg.solve(normal, np.einsum("kni,knd->nid", powers, paths))
+    coefficients = _course(paths, at / fit)
+    n_powers = len(coefficients[0])
     rim = mesh.vertices[loop]
     around = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(rim, axis=0), axis=1))]
     total = loop_length(mesh, loop)
@@ -58,8 +60,8 @@ def extend(mesh: TriMesh, loop: Ints, direction: Floats, length: float, *, fit: 
     waves = waves[: max(1, (len(loop) - 1) // 4)]
     phase = 2 * np.pi * np.outer(around / total, waves)
     basis = np.hstack([np.ones((len(loop), 1)), np.cos(phase), np.sin(phase)])
-    smooth = basis @ np.linalg.lstsq(basis, coefficients[:, 1:].reshape(len(loop), 6), rcond=None)[0]
-    slope, bend = smooth[:, :3], smooth[:, 3:]
+    rest = coefficients[:, 1:].reshape(len(loop), -1)
+    smooth = (basis @ np.linalg.lstsq(basis, rest, rcond=None)[0]).reshape(len(loop), n_powers - 1, 3)
 
     step = total / len(loop)
     n_rings = max(1, int(np.ceil(length / step)))
@@ -67,13 +69,27 @@ def extend(mesh: TriMesh, loop: Ints, direction: Floats, length: float, *, fit: 
     start = coefficients[:, 0]
     # what the fit misses at the rim itself fades out over the first millimetres
     fading = np.clip(1.0 - 2.0 * distance, 0.0, None)
-    rings = start + distance * slope + distance**2 * bend + fading * (rim - start)
+    rings = start + fading * (rim - start)
+    for power in range(1, n_powers):
+        rings = rings + distance**power * smooth[:, power - 1]
     n = len(loop)
     index = np.vstack([loop, mesh.n_vertices + np.arange(n_rings * n).reshape(n_rings, n)])
     a, b = index[:-1], np.roll(index, -1, axis=1)[:-1]
     c, d = index[1:], np.roll(index, -1, axis=1)[1:]
     strip = np.vstack([np.column_stack([x.ravel() for x in t]) for t in ((b, a, c), (b, c, d))])
     return TriMesh(np.vstack([mesh.vertices, rings.reshape(-1, 3)]), np.vstack([mesh.faces, strip]))
+
+
+def _course(paths: Floats, at: Floats) -> Floats:
+    """Fit a polynomial to every path: quadratic, or cubic where that leaves much less; (n, 3 or 4, 3), constant term first."""
+    fits, left = [], []
+    for degree in (2, 3):
+        powers = np.stack([at**power for power in range(degree + 1)], axis=-1)
+        normal = np.einsum("kni,knj->nij", powers, powers)
+        fitted = np.linalg.solve(normal, np.einsum("kni,knd->nid", powers, paths))
+        fits.append(fitted)
+        left.append(float(np.sqrt(((np.einsum("kni,nid->knd", powers, fitted) - paths) ** 2).sum(axis=2).mean())))
+    return fits[int(left[1] < CUBIC * left[0])]
 
 
 def trim_or_extend(

@@ -11,6 +11,7 @@ from ssmpipe.core.mesh.topology import boundary_loops, euler_characteristic, is_
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.repair.cleaning import close_openings
 from ssmpipe.core.repair.extension import extend, trim_or_extend
+from ssmpipe.core.repair.smoothing import taubin
 from ssmpipe.core.repair.trimming import trim
 from tests.support.meshes import random_motion
 
@@ -45,6 +46,26 @@ def test_a_bulge_goes_on_by_its_curvature():
     assert rms_of(off) < 0.02
     straight_on = np.hypot(new[:, 0], new[:, 1]) - (radius(30.0) + (new[:, 2] - 30.0) * np.cos(2.0) / 7.5)
     assert rms_of(straight_on) > 3 * rms_of(off)
+
+
+def wavy(noise: float) -> tuple[TriMesh, np.ndarray, object]:
+    """Return a tube that ends in a strong bulge, its upper rim, and its radius by height."""
+    straight = tube(1.0, 25.0, n_around=96, n_along=68)
+    z = straight.vertices[:, 2]
+    radius = lambda z: 12.0 + 2.0 * np.sin(z / 10.0)  # noqa: E731
+    mesh = TriMesh(straight.vertices * np.column_stack([radius(z), radius(z), np.ones(len(z))]), straight.faces)
+    rough = np.random.default_rng(0).normal(size=mesh.vertices.shape) * [noise, noise, 0.0]
+    mesh = taubin(TriMesh(mesh.vertices + rough, mesh.faces)) if noise else mesh
+    return mesh, next(x for x in boundary_loops(mesh.faces) if mesh.vertices[x, 2].mean() > 15), radius
+
+
+def test_the_change_of_curvature_is_continued_where_there_is_no_noise():
+    mesh, loop, radius = wavy(0.0)
+    new = extend(mesh, loop, UP, 4.0).vertices[mesh.n_vertices :]
+    assert rms_of(np.hypot(new[:, 0], new[:, 1]) - radius(new[:, 2])) < 0.01  # 0.041 with quadratics
+    mesh, loop, radius = wavy(0.1)
+    new = extend(mesh, loop, UP, 4.0).vertices[mesh.n_vertices :]
+    assert rms_of(np.hypot(new[:, 0], new[:, 1]) - radius(new[:, 2])) < 0.2  # 0.48 with cubics
 
 
 def test_a_cap_is_continued_to_the_plane_and_no_farther_than_allowed():
