@@ -109,7 +109,8 @@ def prepare(inputs: dict[str, dict[str, Any]], *, cfg: Config, ctx: Context) -> 
 
 
 def _group(meshes: dict[str, TriMesh], ctx: Context) -> TriMesh:
-    found = align_group(meshes)
+    central = medoid(meshes)
+    found = align_group(meshes, first=central)
     turned = found.history["turned_deg"]
     ctx.metric("reference", "group")
     ctx.metric("group_rounds", found.n_iterations)
@@ -119,7 +120,9 @@ def _group(meshes: dict[str, TriMesh], ctx: Context) -> TriMesh:
             f"the group still turned by {turned[-1]:.2f} degrees in round {found.n_iterations}; that is the precision of its poses"
         )
     share = max(1000, GROUP_FACES // len(meshes))
-    return union({i: decimate(mesh, share).mesh for i, mesh in meshes.items()}, found.value)
+    # the central shape comes first: it gives poles and corners to the others
+    order = [central, *(i for i in meshes if i != central)]
+    return union({i: decimate(meshes[i], share).mesh for i in order}, found.value)
 
 
 def run(

@@ -12,7 +12,7 @@ from ssmpipe.core.align.affine_icp import affine_onto
 from ssmpipe.core.align.rigid import apply
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.errors import ConfigError, LandmarkError, TopologyError
-from ssmpipe.core.mesh.topology import euler_characteristic
+from ssmpipe.core.mesh.topology import compact, euler_characteristic, face_components
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.parameterize.boundary import (
     aligned_axes,
@@ -132,8 +132,7 @@ def run(
     ctx: Context,
 ) -> dict[str, Any]:
     """Parameterize one shape by its corners, its seam or its poles."""
-    if cfg.places == "own":
-        reference = None
+    reference = None if reference is None or cfg.places == "own" else _first_piece(reference)
     topology = cfg.topology
     if topology == "auto":
         topology = "disk" if seam is None else seam.topology
@@ -151,6 +150,12 @@ def run(
             )
         return _tube(mesh, seam, cfg, ctx)
     return _poles(mesh, landmarks if landmarks is not None else Landmarks(), reference, topology, cfg, ctx)
+
+
+def _first_piece(reference: TriMesh) -> TriMesh:
+    """Return the first shape of a reference that is a whole group (align.reference: group)."""
+    piece = face_components(reference.faces)
+    return reference if piece.max() == 0 else compact(reference, piece == 0)
 
 
 def _tube(mesh: TriMesh, seam: Seam, cfg: Config, ctx: Context) -> dict[str, Any]:

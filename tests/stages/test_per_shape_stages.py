@@ -12,7 +12,7 @@ from ssmpipe.core.errors import ConfigError, LandmarkError, TopologyError
 from ssmpipe.core.mesh.distance import point_to_mesh
 from ssmpipe.core.mesh.operators import volume
 from ssmpipe.core.mesh.primitives import sphere, star_shape, torus, tube
-from ssmpipe.core.mesh.topology import boundary_loops, euler_characteristic, face_components
+from ssmpipe.core.mesh.topology import boundary_loops, compact, euler_characteristic, face_components
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.stages import align, decimate, fit, orient, parameterize, repair, sample, smooth, trim
 from tests.support.femora import DATA, femur, landmark, needs_femora, needs_vertebrae, read, sides
@@ -222,6 +222,12 @@ class TestAlign:
         union, name = self.prepared(reference="group")
         assert name == "group"
         assert face_components(union.faces).max() == 2  # three shapes, each of its size
+        # the central one gives the poles
+        first = compact(union, face_components(union.faces) == 0)
+        closed = {"topology": "closed"}
+        lump = star_shape(2)
+        one, all_ = (go(parameterize, mesh=lump, reference=r, options=closed)[0]["uv"] for r in (first, union))
+        assert np.array_equal(one, all_)
         assert np.abs(union.vertices).max() == pytest.approx(1.2 * np.abs(star_shape(3).vertices).max(), rel=0.05)
 
     def test_a_landmark_restricts_the_fit(self):

@@ -77,8 +77,8 @@ def align_group(
 
 
 def union(meshes: Mapping[str, TriMesh], poses: Mapping[str, Floats]) -> TriMesh:
-    """Return all shapes in their poses as one mesh of as many pieces."""
-    pieces = [move(meshes[i], poses[i]) for i in sorted(meshes)]
+    """Return all shapes in their poses as one mesh of as many pieces, in the order of ``meshes``."""
+    pieces = [move(mesh, poses[i]) for i, mesh in meshes.items()]
     offsets = np.cumsum([0] + [piece.n_vertices for piece in pieces[:-1]])
     faces = np.vstack([piece.faces + offset for piece, offset in zip(pieces, offsets, strict=True)])
     return TriMesh(np.vstack([piece.vertices for piece in pieces]), faces)
