@@ -1,6 +1,8 @@
 """Run the synthetic aortas and proximal femora from raw scans to models, measure against their truth, and write a page.
 
-python docs/make_synthetic_cohorts.py [--work FOLDER]
+python docs/make_synthetic_cohorts.py [--work FOLDER] [--only aorta]
+
+What FOLDER holds already is brought up to date; with ``--only`` the part of the page about the other cohort stays as it is.
 """
 
 from __future__ import annotations
@@ -8,6 +10,7 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -22,48 +25,111 @@ sys.path.insert(0, str(HERE))
 from make_aorta_synth import draw_modes  # noqa: E402
 
 from ssmpipe.core.evaluation.correspondence_error import correspondence_error  # noqa: E402
+from ssmpipe.core.mesh.distance import point_to_mesh  # noqa: E402
+from ssmpipe.core.mesh.trimesh import TriMesh  # noqa: E402
 
 COHORTS = {"aorta": ("aorta", ["--n", "12"]), "hips": ("femur-proximal", ["--groups"])}
+STAGES = {"aorta": {"trim": {"tube_mm": 55.0}}}
+"""How much of an aorta is modelled is the user's choice."""
+RIMS = {"trim": {"ends_at": "rims"}}
+GUIDES = [f"{kind}_{place}" for kind, places in (("nadir", ("left", "non", "right")),) for place in places]
+GUIDES += ["commissure_left_right", "commissure_non_left", "commissure_right_non", "ostium_left", "ostium_right"]
 ON_SURFACE = 1.5
 """A true point farther from the corresponded surface of any shape was cut away [mm]."""
 
 
-def run(work: Path, name: str) -> tuple[Path, float]:
-    """Make a cohort and run its preset without landmarks; return the output folder and the seconds."""
+def make(work: Path, name: str) -> Path:
+    """Make a cohort unless it is there, and return its folder."""
     anatomy, options = COHORTS[name]
-    data, out = work / name, work / f"{name}-out"
-    subprocess.run([sys.executable, "-m", "ssmpipe", "synth", anatomy, str(data), *options], check=True)
+    data = work / name
+    if not (data / "truth.npz").is_file():
+        subprocess.run([sys.executable, "-m", "ssmpipe", "synth", anatomy, str(data), *options], check=True)
+    return data
+
+
+def run(
+    work: Path, name: str, variant: str = "", stages: dict[str, dict[str, object]] | None = None
+) -> tuple[Path, float]:
+    """Run the preset of a cohort without landmarks; return the output folder and the seconds."""
+    data, out = make(work, name), work / f"{name}-out{variant}"
     table = f"\n  cohort: {data / 'cohort.csv'}" if (data / "cohort.csv").is_file() else ""
-    config = work / f"{name}.yaml"
+    config = work / f"{name}{variant}.yaml"
+    chosen = json.dumps([{key: value} for key, value in (stages or STAGES.get(name, {})).items()])
     config.write_text(
         f"name: synthetic {name}\ninput:\n  scans: {data / 'scans'}{table}\n  landmarks: {data / 'landmarks.json'}\n"
-        f"  units: mm\noutput: {out}\nanatomy: {anatomy}\n"
+        f"  units: mm\noutput: {out}\nanatomy: {COHORTS[name][0]}\nstages: {chosen}\n"
     )
     begin = time.perf_counter()
     subprocess.run([sys.executable, "-m", "ssmpipe", "run", str(config), "-q"], check=False)
     return out, time.perf_counter() - begin
 
 
-def against_truth(out: Path, data: Path) -> dict[str, np.ndarray]:
-    """Return the errors of all ordered pairs before and after [mm]."""
-    result = np.load(out / "cohort" / "optimize" / "correspondence.npz")
+def against_truth(outs: list[Path], data: Path) -> list[dict[str, np.ndarray]]:
+    """Return, for every result, the errors of all ordered pairs before and after [mm], at points that all of them keep."""
     truth = np.load(data / "truth.npz")
     ids = sorted(path.stem for path in (data / "scans").iterdir())
-    chosen = [ids.index(i) for i in result["ids"]]
+    results = [np.load(out / "cohort" / "optimize" / "correspondence.npz") for out in outs]
+    common = sorted(set.intersection(*[set(r["ids"].tolist()) for r in results]))
+    chosen = [ids.index(i) for i in common]
     covered = truth["covered"][chosen].all(axis=0)
-    points = truth["points"][chosen][:, covered]
-    matrix = result["transform"]
-    aligned = np.einsum("sij,snj->sni", matrix[:, :3, :3], points) + matrix[:, None, :3, 3]
+    sets = []
+    for result in results:
+        rows = [result["ids"].tolist().index(i) for i in common]
+        matrix = result["transform"][rows]
+        aligned = np.einsum("sij,snj->sni", matrix[:, :3, :3], truth["points"][chosen]) + matrix[:, None, :3, 3]
+        for key in ("initial_points", "points"):
+            sets.append((result[key][rows], result["faces"], aligned))
+    kept = covered.copy()
+    for points, faces, aligned in sets:
+        near = [point_to_mesh(t, TriMesh(p, faces))[0] <= ON_SURFACE for p, t in zip(points, aligned, strict=True)]
+        kept &= np.all(near, axis=0)
     others = ~np.eye(len(chosen), dtype=bool)
-    return {
-        key: correspondence_error(result[name], result["faces"], aligned, max_distance=ON_SURFACE)[others]
-        for key, name in (("before", "initial_points"), ("after", "points"))
-    }
+    errors = [correspondence_error(p, f, a[:, kept], max_distance=np.inf)[others] for p, f, a in sets]
+    return [{"before": b, "after": a} for b, a in zip(errors[::2], errors[1::2], strict=True)]
+
+
+def cuts_text(work: Path, data: Path, out: Path) -> str:
+    """Return how the place of the cuts and true guides change the error."""
+    rims, _ = run(work, "aorta", "-rims", RIMS)
+    guided = work / "aorta-out-guided"
+    shutil.copytree(out, guided, dirs_exist_ok=True)
+    guided, _ = run(work, "aorta", "-guided", {**STAGES["aorta"], "optimize": {"guides": GUIDES}})
+    names = ("cut just inside the rims", "cut by the sinuses (the preset)", "the same, eight true landmarks as guides")
+    errors = against_truth([rims, out, guided], data)
+    start = errors[0]["before"].mean()
+    rows = "\n".join(
+        f"| {name} | {e['before'].mean():.2f} | {e['after'].mean():.2f} | {np.median(e['after']):.2f} "
+        f"| {100 * e['after'].mean() / e['before'].mean():.0f} % | {100 * e['after'].mean() / start:.0f} % |"
+        for name, e in zip(names, errors, strict=True)
+    )
+    result = np.load(out / "cohort" / "optimize" / "correspondence.npz")
+    per_shape = against_truth_by_shape(out, data)
+    worst = int(np.argmax(per_shape))
+    rest = [k for k in range(len(per_shape)) if k != worst]
+    return f"""### Where the ends are cut
+
+Mean error at the {errors[0]["after"].shape[1]} true points that all three keep [mm]:
+
+| | before | after | median after | of its own start | of the start of the rims |
+|---|---|---|---|---|---|
+{rows}
+
+`{result["ids"][worst]}` carries most of what is left: {per_shape[worst]:.2f} mm, the others {per_shape[rest].mean():.2f} mm on average.
+"""
+
+
+def against_truth_by_shape(out: Path, data: Path) -> np.ndarray:
+    """Return the mean error of what is carried to each shape [mm]."""
+    errors = against_truth([out], data)[0]["after"]
+    n = len(np.load(out / "cohort" / "optimize" / "correspondence.npz")["ids"])
+    square = np.full((n, n), np.nan)
+    square[~np.eye(n, dtype=bool)] = errors.mean(axis=1)
+    return np.nanmean(square, axis=0)
 
 
 def section(name: str, title: str, out: Path, data: Path, seconds: float) -> str:
     """Return the part of the page about one cohort."""
-    errors = against_truth(out, data)
+    (errors,) = against_truth([out], data)
     n_scans = len(list((data / "scans").iterdir()))
     failed = json.loads((out / "failures.json").read_text()) if (out / "failures.json").is_file() else {}
     lines = [f"- `{i}`, {f['stage']}: {f['error']}" for i, f in failed.items()]
@@ -113,23 +179,34 @@ def main() -> None:
     """Run, measure, draw, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--work", type=Path)
-    work = (parser.parse_args().work or Path(tempfile.mkdtemp(prefix="synthetic-"))).resolve()
+    parser.add_argument("--only", choices=list(COHORTS))
+    options = parser.parse_args()
+    work = (options.work or Path(tempfile.mkdtemp(prefix="synthetic-"))).resolve()
     work.mkdir(parents=True, exist_ok=True)
     titles = {
         "aorta": "Ascending aortas with sinuses and coronary stumps",
         "hips": "Proximal femora, healthy and with a cam bump",
     }
+    page = HERE / "synthetic_cohorts.md"
     parts = []
     for name, title in titles.items():
+        if options.only not in (None, name):
+            text = page.read_text()
+            begin = text.index(f"## {title}")
+            end = text.find("\n## ", begin)
+            parts.append(text[begin:] if end < 0 else text[begin : end + 1])
+            continue
         out, seconds = run(work, name)
-        parts.append(section(name, title, out, work / name, seconds))
+        part = section(name, title, out, work / name, seconds)
+        parts.append(part + ("\n" + cuts_text(work, work / name, out) if name == "aorta" else ""))
     head = """# Synthetic cohorts, from damaged scans to models
 
 Made by `python docs/make_synthetic_cohorts.py`: `ssmpipe synth` writes the scans ([what is wrong with them](synthetic.md)), the presets
-`aorta` and `femur-proximal` run without landmarks, and the truth, which no stage saw, measures the result.
+`aorta` (with `trim.tube_mm: 55`, the length to model) and `femur-proximal` run without landmarks, and the truth, which no stage saw,
+measures the result.
 
 """
-    (HERE / "synthetic_cohorts.md").write_text(head + "\n".join(parts))
+    page.write_text(head + "\n".join(parts))
 
 
 if __name__ == "__main__":

@@ -231,7 +231,7 @@ def _better_image(
 STAGE = Stage(
     name="align",
     scope="shape",
-    version=2,
+    version=3,
     config=Config,
     run=run,
     inputs=(

@@ -488,7 +488,7 @@ def _poles(spline: Spline) -> list[dict[str, Any]]:
 STAGE = Stage(
     name="optimize",
     scope="cohort",
-    version=11,
+    version=12,
     config=Config,
     run=run,
     inputs=(Port("surface", "surface"), Port("transform", "transform"), Port("landmarks", "landmarks", optional=True)),

@@ -23,6 +23,9 @@ from ssmpipe.core.mesh.distance import sample_surface
 from ssmpipe.core.mesh.operators import face_normals, surface_centroid
 from ssmpipe.core.mesh.trimesh import TriMesh
 
+_SLID = 1.5
+"""A pose whose nearest points lie so many times farther than in the nearest pose is out of the question."""
+
 
 @dataclass(frozen=True)
 class Region:
@@ -195,7 +198,8 @@ def cost(source: PointSurface, target: PointSurface, matrix: Floats) -> float:
 def distance(source: PointSurface, target: PointSurface, matrix: Floats) -> float:
     """Return the root mean square of distances to the nearest point, both ways [mm].
 
-    It chooses among poses: along normals, what stands out beyond the end of an open tube would cost nothing.
+    Along normals, what stands out beyond the end of an open tube costs nothing: a pose in which this distance is much larger than in
+    another one has slid out of the target.
     """
     points, goals, _ = pairs(source, target, matrix)
     squared = ((goals - points) ** 2).sum(axis=1)
@@ -298,12 +302,18 @@ def align(
     screened = [screen(*few, start) for start in starts]
     order = np.argsort([c for _, c in screened], kind="stable")[:n_refined]
     candidates = [(refine(*some, screened[k][0], scaled=scaled)[0], int(k)) for k in order]
-    found, k = min(candidates, key=lambda c: (distance(*all_points, c[0]), c[1]))
-    if distance(*all_points, found) < (1.0 - 0.5 * margin) * identity_distance:
-        matrix, n_iterations, converged = refine(*all_points, found, scaled=scaled)
-        if distance(*all_points, matrix) < (1.0 - margin) * identity_distance:
-            start = "screened" if k == 0 else f"axes-{k}"
-            best = IcpResult(matrix, cost(*all_points, matrix), start, n_iterations, converged, identity_cost)
+    gaps = [distance(*all_points, c[0]) for c in candidates]
+    limit = _SLID * min(identity_distance, *gaps)
+    slid = identity_distance > limit
+    kept = [c for c, gap in zip(candidates, gaps, strict=True) if gap <= limit]
+    if kept:
+        found, k = min(kept, key=lambda c: (cost(*all_points, c[0]), c[1]))
+        if slid or cost(*all_points, found) < (1.0 - 0.5 * margin) * identity_cost:
+            matrix, n_iterations, converged = refine(*all_points, found, scaled=scaled)
+            other = cost(*all_points, matrix)
+            if slid or other < (1.0 - margin) * identity_cost:
+                start = "screened" if k == 0 else f"axes-{k}"
+                best = IcpResult(matrix, other, start, n_iterations, converged, identity_cost)
     if not scaled:
         return best
     scale = _scale(best.matrix)

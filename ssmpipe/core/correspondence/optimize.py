@@ -30,6 +30,7 @@ from ssmpipe.core.correspondence.reparameterization import Boundary, Reparameter
 from ssmpipe.core.correspondence.rows import RowSums, automatic_blocks
 from ssmpipe.core.correspondence.sensitivity import direct_gradient, finite_difference_gradient
 from ssmpipe.core.correspondence.spectral import Objective, spectral_function
+from ssmpipe.core.correspondence.turns import starting_turns
 from ssmpipe.core.engine import Engine
 from ssmpipe.core.errors import FoldoverError, GeometryError, LandmarkError
 from ssmpipe.core.optim.interior import DescentOptions
@@ -263,6 +264,8 @@ def optimize_correspondence(
         first = cohort.space(levels[0] if levels else opts.n_coefficients)
         coefficients = cohort.affine_start(first)
         cohort.refine_pose(coefficients, first)
+    else:
+        coefficients[..., 0] += cohort.turns.reshape(-1, *[1] * len(opts.n_coefficients))
     for n, n_next in pairwise([*levels, opts.n_coefficients]):
         coefficients = cohort.descend(coefficients, cohort.space(n), opts.barriers[:1], recorder)[0]
         coefficients = _refined(coefficients, cohort.space(n), cohort.space(n_next))
@@ -311,7 +314,10 @@ class _Cohort:
         self.given = self.raw.evaluate(at_identity).points
         self.alignment = self._align(self.given, keep_pose=opts.pose != "procrustes")
         self.normal = _sizes(self.alignment)
+        self.turns = np.zeros(len(splines))
         start = self._normalized(self.given)
+        if self.output.periodic[0] and guides is None:
+            self.turns, start = self._turned(start)
         mean = start.mean(axis=0)
         self.size = float(np.sqrt(((mean - mean.mean(axis=0)) ** 2).sum(axis=1).mean()))
         self.lambda_cut = opts.lambda_cut if opts.lambda_cut is not None else automatic_lambda_cut(self.size)
@@ -323,9 +329,20 @@ class _Cohort:
             self.reference = int(((start - mean) ** 2).sum(axis=(1, 2)).argmin())
         else:
             self.reference = opts.reference
+        if self.reference >= 0:
+            self.turns = (self.turns - self.turns[self.reference] + 0.5) % 1.0 - 0.5
         self.guide_weight = opts.guide_weight
         self.interpolating = False
         self._guides = self._locate_guides(guides) if guides is not None else None
+
+    def _turned(self, start: Floats) -> tuple[Floats, Floats]:
+        """Return by how much each shape is turned before the descent, and the points at the start after that."""
+        turns = starting_turns(start.reshape(len(start), self.output.grid[0], -1, start.shape[2]))
+        if not turns.any():
+            return turns, start
+        coefficients = np.repeat(self.output.identity()[None], len(start), axis=0)
+        coefficients[..., 0] += turns.reshape(-1, *[1] * self.output.n_directions)
+        return turns, self._normalized(self.raw.evaluate(self.output.evaluate(coefficients)).points)
 
     @property
     def guided(self) -> bool:
