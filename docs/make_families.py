@@ -26,6 +26,8 @@ from baselines import register  # noqa: E402
 from family_cohorts import Family, families  # noqa: E402
 from make_femur_proximal import draw_lines, save  # noqa: E402
 
+from ssmpipe.core.align.procrustes import rotation_between  # noqa: E402
+from ssmpipe.core.align.rigid import rotation_angle  # noqa: E402
 from ssmpipe.core.mesh.distance import point_to_mesh  # noqa: E402
 from ssmpipe.core.mesh.trimesh import TriMesh  # noqa: E402
 from ssmpipe.io.meshes import read_mesh  # noqa: E402
@@ -82,6 +84,16 @@ def baseline(
     return np.concatenate(every)
 
 
+def askew(placed: np.ndarray, reference: int) -> list[float]:
+    """Angle between the pose that every shape was given and the one that brings the true places together [degrees]."""
+    angles = []
+    for points in placed:
+        both = ~np.isnan(points[:, 0]) & ~np.isnan(placed[reference][:, 0])
+        a, b = points[both], placed[reference][both]
+        angles.append(rotation_angle(rotation_between(a - a.mean(axis=0), b - b.mean(axis=0), np.ones(len(a)))))
+    return angles
+
+
 def ssmpipe(*arguments: str) -> tuple[int, str]:
     done = subprocess.run([sys.executable, "-m", "ssmpipe", *arguments], capture_output=True, text=True)
     return done.returncode, done.stdout + done.stderr
@@ -120,17 +132,16 @@ def study(family: Family, work: Path, seed: int, jobs: int, sets: list[str]) -> 
         means, e = errors_of(points, faces, placed)
         row[key] = [float(e.mean()), float(np.median(e)), float(np.percentile(e, 95))]
         row[key + "_shape"] = dict(zip(ids, np.nanmean(means + means.T, axis=1) / 2, strict=True))
-    # poses after the alignment beside those of the truth
-    row["determinants"] = [float(np.sign(np.linalg.det(t[:3, :3]))) for t in transform]
+    prepared = json.loads(next((out / "cohort").glob("*-align-prepare/manifest.json")).read_text())
+    poses = [
+        np.array(json.loads((next((out / "shapes" / i).glob("*-align")) / "transform.json").read_text())) for i in ids
+    ]
+    at = np.stack([t @ m[:3, :3].T + m[:3, 3] for t, m in zip(truth, poses, strict=True)])
+    row["askew_deg"] = dict(zip(ids, askew(at, ids.index(prepared["metrics"]["reference"])), strict=True))
     meshes = [read_mesh(next((out / "shapes" / i).glob("*-align")) / "mesh.ply") for i in ids]
     for key, affine in (("rigid", False), ("affine", True)):
         cache = folder / f"baseline-{key}.json"
         if not cache.exists():
-            matrices = [
-                np.array(json.loads((next((out / "shapes" / i).glob("*-align")) / "transform.json").read_text()))
-                for i in ids
-            ]
-            at = np.stack([t @ m[:3, :3].T + m[:3, 3] for t, m in zip(truth, matrices, strict=True)])
             e = baseline(meshes, at, affine=affine)
             cache.write_text(json.dumps([float(e.mean()), float(np.median(e)), float(np.percentile(e, 95))]))
         row[key] = json.loads(cache.read_text())
@@ -178,6 +189,7 @@ def main() -> None:
         if options.pictures and "after" in row:
             picture(family, options.work / f"{family.name}-{options.seed}" / "out" / "config")
         if "after_shape" in row:
+            print("   poses", {k: round(float(v), 1) for k, v in row["askew_deg"].items()}, flush=True)
             print("   per shape", {k: round(float(v), 1) for k, v in row["after_shape"].items()}, flush=True)
         for key, value in row["failures"].items():
             print("   ", key, str(value)[:300], flush=True)
