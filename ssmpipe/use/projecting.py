@@ -136,7 +136,11 @@ def engine_options(model: ShapeModel, content: Mapping[str, Any]) -> EngineOptio
     boundary = given.get("boundary", "auto")
     if boundary == "auto":
         boundary = "periodic" if closes(model.topology) else "fixed"
-    return EngineOptions(**kept, boundary=boundary, lambda_cut=model.lambda_cut)
+    start = given.get("start", "identity")
+    if start == "auto":  # as the stage resolves it
+        settled = kept.get("normalize") == "affine" and not given.get("guides") and given.get("reference") != "none"
+        start = "affine" if len(model.faces) and settled else "identity"
+    return EngineOptions(**kept, boundary=boundary, lambda_cut=model.lambda_cut, start=start)
 
 
 def closes(topology: str) -> bool:

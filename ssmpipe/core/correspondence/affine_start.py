@@ -12,7 +12,7 @@ from ssmpipe.core.correspondence.reparameterization import Reparameterization
 from ssmpipe.core.spline.evaluate import SplineStack
 
 _SMOOTHNESS = 2.5e-6  # bending energy against squared distance in the square, mean over the nodes
-_LEAST_JACOBIAN = 0.05
+LEAST_JACOBIAN = 0.05
 _SAME_SIDE = 0.5  # cosine between normals of places that belong together
 
 
@@ -41,12 +41,37 @@ def affine_start(
     (n_S, *n_coefficients, 2) float64
         The identity for the reference.
     """
+    u = space.evaluate(space.identity()[None])[0]
+    nodes = stack.evaluate(np.repeat(u[None], stack.n_shapes, axis=0))
+    fixed = np.array(nodes.points[reference])
+    area = np.cross(nodes.first[0][reference], nodes.first[1][reference])
+    return affine_start_onto(stack, space, fixed, area, n_dense=n_dense, n_rounds=n_rounds, skip=reference)
+
+
+def affine_start_onto(
+    stack: SplineStack,
+    space: Reparameterization,
+    fixed: Floats,
+    area: Floats,
+    *,
+    n_dense: int = 101,
+    n_rounds: int = 12,
+    skip: int = -1,
+) -> Floats:
+    """Return maps that bring given landmarks near their affine closest points on every shape; see :func:`affine_start`.
+
+    Parameters
+    ----------
+    stack, space, n_dense, n_rounds
+        As there.
+    fixed, area : (n_P, 3) float64
+        Places of the landmarks, and ``S_u x S_v`` there.
+    skip : int
+        Shape that keeps the identity.
+    """
     identity = space.identity()
     u = space.evaluate(identity[None])[0]
-    nodes = stack.evaluate(np.repeat(u[None], stack.n_shapes, axis=0))
-    partners = [np.array(p) for p in nodes.points]
-    fixed = partners[reference]
-    area = np.cross(nodes.first[0][reference], nodes.first[1][reference])
+    partners = np.array(stack.evaluate(np.repeat(u[None], stack.n_shapes, axis=0)).points)
     element = np.linalg.norm(area, axis=1)
     normal = area / np.maximum(element, 1e-12 * element.max())[:, None]
     grid = [np.linspace(0.0, 1.0, n_dense, endpoint=not p) for p in space.periodic]
@@ -56,7 +81,7 @@ def affine_start(
     fit = _Fit(space, u)
     coefficients = np.repeat(identity[None], stack.n_shapes, axis=0)
     for i in range(stack.n_shapes):
-        if i == reference:
+        if i == skip:
             continue
         tree = cKDTree(points[i])
         tangents = np.stack([first[0][i], first[1][i]], axis=-1)
@@ -96,7 +121,7 @@ def without_folds(objective: GroupObjective, coefficients: Floats) -> Floats:
     share = np.ones(len(identity))
     for _ in range(25):
         x = identity + share[:, None] * towards
-        folded = objective.jacobians(x.ravel()).min(axis=1) < _LEAST_JACOBIAN
+        folded = objective.jacobians(x.ravel()).min(axis=1) < LEAST_JACOBIAN
         if not folded.any():
             return objective.coefficients(x.ravel())
         share[folded] *= 0.85

@@ -10,12 +10,13 @@ import numpy as np
 from ssmpipe.core.align.affine import affine_to_cohort, affine_to_mean
 from ssmpipe.core.align.procrustes import generalized_procrustes, rotation_between
 from ssmpipe.core.arrays import Floats
+from ssmpipe.core.correspondence.affine_start import LEAST_JACOBIAN, affine_start_onto
 from ssmpipe.core.correspondence.barrier import Barrier
 from ssmpipe.core.correspondence.certificate import Certificate, certify
 from ssmpipe.core.correspondence.covariance import Spectrum, centred_spectrum
 from ssmpipe.core.correspondence.gauss_newton import gauss_newton_inverse
 from ssmpipe.core.correspondence.jacobian import Jacobian, JacobianForm, largest_feasible_step
-from ssmpipe.core.correspondence.measure import grid_size_weights
+from ssmpipe.core.correspondence.measure import grid_size_weights, grid_tangents
 from ssmpipe.core.correspondence.optimize import EngineOptions
 from ssmpipe.core.correspondence.prior import bending_matrix
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
@@ -218,6 +219,7 @@ class FixedCohort:
             raise GeometryError(f"n_coefficients {options.n_coefficients} do not fit the landmark grid {grid}")
         self.points, self.options = points, options
         periodic = tuple(closes and axis == 0 for axis in range(len(grid)))
+        self.periodic = periodic
         nodes = tuple(np.linspace(0.0, 1.0, n, endpoint=not p) for n, p in zip(grid, periodic, strict=True))
         self.space = Reparameterization(options.n_coefficients, nodes, degree=options.degree, boundary=options.boundary)
         mean = points.mean(axis=0)
@@ -312,7 +314,10 @@ def bring_in(spline: Spline, cohort: FixedCohort) -> Result[Newcomer]:
         )
     stack = SplineStack([spline], space.periodic)
     coefficients = space.identity()
-    given = stack.evaluate(space.evaluate(coefficients[None])).points[0]
+    if options.start == "affine" and space.n_directions == 2 and spline.dimension == 3:
+        coefficients = _affine_start(stack, cohort)
+    identity = space.identity()
+    given = stack.evaluate(space.evaluate(identity[None])).points[0].copy()
     d = given.shape[1]
     rotation, translation = np.eye(d), np.zeros(d)
     if options.pose == "procrustes":
@@ -323,7 +328,7 @@ def bring_in(spline: Spline, cohort: FixedCohort) -> Result[Newcomer]:
     rounds = options.pose_rounds if moves_pose or options.normalize == "affine" else 0
     barriers, n_iterations, n_evaluations = options.barriers, 0, 0
     status: Status = "converged"
-    current = given
+    current = stack.evaluate(space.evaluate(coefficients[None])).points[0]
     linear, offset, scale = cohort.normalization(current @ rotation.T + translation)
     for _ in range(1 + rounds):
         objective = NewcomerObjective(
@@ -376,6 +381,21 @@ def bring_in(spline: Spline, cohort: FixedCohort) -> Result[Newcomer]:
         n_iterations,
         n_evaluations,
     )
+
+
+def _affine_start(stack: SplineStack, cohort: FixedCohort) -> Floats:
+    """Return a map without folds near the affine closest points of the mean, (*n_b, 2)."""
+    space, mean = cohort.space, cohort.points.mean(axis=0)
+    tangents = grid_tangents(mean, space.grid, cohort.periodic)
+    found = affine_start_onto(stack, space, mean, np.cross(tangents[0], tangents[1]))
+    identity, jacobian = space.identity(), Jacobian(space, cohort.options.form)
+    share = 1.0
+    while share > 0.01:
+        coefficients = identity + share * (found[0] - identity)
+        if jacobian.coefficients(coefficients[None]).min() > LEAST_JACOBIAN:
+            return coefficients
+        share *= 0.85
+    return identity
 
 
 def _moved(spline: Spline, linear: Floats, offset: Floats) -> Spline:

@@ -106,3 +106,15 @@ def test_what_cannot_join_is_refused():
         FixedCohort(optimum.points, (17, 17), closes=False, options=OPTIONS)
     with pytest.raises(GeometryError, match="of 1 shape cannot take"):
         FixedCohort(optimum.points[:1], (17, 17), closes=False, options=OPTIONS)
+
+
+def test_an_affine_start_begins_near_the_end_and_ends_no_worse():
+    stranger = bumps(1, seed=9)[0]
+    plain = bring_in(stranger, cohort()).value
+    result = bring_in(stranger, cohort(start="affine"))
+    assert result.value.certificate.verdict == "proved"
+    assert result.value.description_length[0] == pytest.approx(plain.description_length[0], rel=0.02)
+    assert result.value.description_length[1] < plain.description_length[1] + 0.2
+    splines, optimum = finished()
+    back = bring_in(splines[1], cohort(start="affine")).value
+    assert rms(back.points - optimum.points[1]) < 0.25 * rms(back.initial_points - optimum.points[1])
