@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ssmpipe.core.arrays import Floats, Ints
+from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.mesh.distance import interpolate, point_to_mesh
-from ssmpipe.core.mesh.operators import edge_lengths, face_normals, mean_edge_length, vertex_normals
+from ssmpipe.core.mesh.operators import area, edge_lengths, face_normals, mean_edge_length, vertex_normals
 from ssmpipe.core.mesh.topology import split_edges, unique_edges
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.repair.filling import fill
@@ -14,6 +15,7 @@ from ssmpipe.core.repair.holes import delaunay_flips
 from ssmpipe.core.repair.patch_fairing import fading, relaxed
 
 _ROUNDS = 120
+_FACES = 1000
 _BLEND = 4.0
 """Edges over which a patch goes over from the rim to the other surface."""
 
@@ -45,7 +47,7 @@ def fill_towards(mesh: TriMesh, loops: list[Ints], target: TriMesh) -> tuple[Tri
     TopologyError
         If loops touch.
     GeometryError
-        If a hole cannot be closed by a patch without folds.
+        If a hole cannot be closed by a patch without folds, or a patch grows past the size of the target.
     """
     flat, records = fill(mesh, loops, method="membrane")
     vertices, faces, slices = [mesh.vertices], [mesh.faces], []
@@ -68,6 +70,7 @@ def fill_towards(mesh: TriMesh, loops: list[Ints], target: TriMesh) -> tuple[Tri
 def _grown(vertices: Floats, triangles: Ints, n_rim: int, target: TriMesh, wanted: float) -> tuple[Floats, Ints]:
     """Return the vertices of a patch, rim first, and its triangles when it has met the target."""
     rim = vertices[:n_rim].copy()
+    most = max(_FACES, 3 * len(triangles)) + 3.0 * area(target) / (0.4 * wanted**2)
     for k in range(_ROUNDS):
         if len(vertices) > n_rim:
             offset, away = _towards(vertices[n_rim:], target)
@@ -80,6 +83,11 @@ def _grown(vertices: Floats, triangles: Ints, n_rim: int, target: TriMesh, wante
                 break
         if k % 4 == 3:
             vertices, triangles = _refined(vertices, triangles, n_rim, 1.6 * wanted)
+            if len(triangles) > most:
+                raise GeometryError(
+                    f"the patch for a hole of {n_rim} edges does not come to rest on the surface that it is to follow",
+                    "cut the scan so that what is missing is one piece",
+                )
             triangles = delaunay_flips(vertices, triangles, n_rim)
     for _ in range(3):
         vertices = relaxed(vertices, triangles, n_rim, 3)

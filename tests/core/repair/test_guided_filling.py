@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.mesh.distance import point_to_mesh
 from ssmpipe.core.mesh.operators import face_normals, vertex_normals
 from ssmpipe.core.mesh.primitives import star_shape
@@ -44,3 +45,12 @@ def test_a_target_that_is_off_is_blended_into_the_rim():
     assert np.percentile(turn[at_rim], 5) > 0.8, "no step at the rim"
     top = filled.vertices[new][filled.vertices[new][:, 2].argmax()]
     assert point_to_mesh(top[None], lifted)[0][0] < 0.25 * point_to_mesh(top[None], whole)[0][0]
+
+
+def test_a_patch_that_finds_no_surface_is_refused():
+    whole = star_shape(3)
+    part = cut(whole, 0.6)
+    size = float(np.ptp(whole.vertices))
+    wall = TriMesh(size * np.array([[-9, -9, 3], [9, -9, 3], [0, 9, 3.0]]), np.array([[0, 1, 2]]))
+    with pytest.raises(GeometryError, match="does not come to rest"):
+        fill_towards(part, boundary_loops(part.faces), TriMesh(wall.vertices * 0.02 + [0, 0, 3 * size], wall.faces))
