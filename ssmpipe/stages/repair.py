@@ -29,6 +29,15 @@ class Config(StageConfig):
         float,
         Field(ge=0, lt=0.5, description="A component with less than this share of the area is dropped as debris [-]."),
     ] = 0.02
+    merge_tolerance: Annotated[
+        float,
+        Field(
+            ge=0,
+            lt=0.01,
+            description="Vertices nearer than this share of the bounding box's diagonal are one; raise it for files whose faces do not "
+            "quite meet [-].",
+        ),
+    ] = 1e-7
     max_handle_mm: Annotated[
         float | None,
         Field(
@@ -57,7 +66,12 @@ class Config(StageConfig):
 
 def run(mesh: TriMesh, *, cfg: Config, ctx: Context) -> dict[str, Any]:
     """Repair one scan; see :func:`ssmpipe.core.repair.cleaning.clean`."""
-    cleaned = clean(mesh, debris_fraction=cfg.debris_fraction, components=cfg.components)
+    cleaned = clean(
+        mesh,
+        debris_fraction=cfg.debris_fraction,
+        components=cfg.components,
+        merge_tolerance=cfg.merge_tolerance,
+    )
     result = cleaned.mesh
     check_openings(result, cfg.max_openings)
     if cfg.max_handle_mm is not None:

@@ -16,7 +16,7 @@ from ssmpipe.core.mesh.topology import boundary_loops, compact, euler_characteri
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.stages import align, decimate, fit, orient, parameterize, repair, sample, smooth, trim
 from tests.support.femora import DATA, femur, landmark, needs_femora, needs_vertebrae, read, sides
-from tests.support.meshes import joined, random_motion
+from tests.support.meshes import joined, noisy, random_motion, soup
 
 CHAIN = (repair, orient, trim, smooth, decimate, align, parameterize, sample, fit)
 
@@ -64,6 +64,18 @@ class TestRepair:
             )
         with pytest.raises(TopologyError, match=r"1 handle"):
             go(repair, mesh=torus())
+
+    def test_faces_that_do_not_quite_meet_are_named_and_merged_when_asked(self):
+        raw = soup(star_shape(3))
+        size = np.linalg.norm(np.ptp(raw.vertices, axis=0))
+        loose = noisy(raw, np.random.default_rng(0), 1e-6 * size)
+        with pytest.raises(
+            TopologyError, match=r"falls into 1280 pieces, the largest with 0\.\d+ %.*repair\.merge_tolerance"
+        ):
+            go(repair, mesh=loose)
+        outputs, ctx = go(repair, mesh=loose, options={"merge_tolerance": 2e-5})
+        assert outputs["mesh"].n_vertices == star_shape(3).n_vertices
+        assert ctx.metrics["merged_vertices"] == raw.n_vertices - star_shape(3).n_vertices
 
     def test_handles_are_cut_when_the_config_allows_it(self):
         ring = torus(6.0, 1.0, 48, 12)

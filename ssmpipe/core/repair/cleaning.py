@@ -72,7 +72,7 @@ def clean(
     Raises
     ------
     TopologyError
-        If several large components are left, or the surface cannot be oriented.
+        If several large components are left, the surface falls into crumbs, or it cannot be oriented.
     """
     changes: dict[str, int] = {}
     vertices, faces = mesh.vertices, mesh.faces
@@ -106,6 +106,12 @@ def clean(
     area = np.bincount(label, weights=face_areas(split))
     share = area / area.sum() if area.sum() > 0 else np.full(len(area), 1.0 / len(area))
     large = np.flatnonzero(share >= debris_fraction)
+    if len(large) == 0 and len(area) > 50:
+        raise TopologyError(
+            f"the surface falls into {len(area)} pieces, the largest with {100 * share.max():.2g} % of the area: its faces do not share "
+            "vertices",
+            "merge vertices that lie farther apart with repair.merge_tolerance (1e-5), or export the scan with shared vertices",
+        )
     if len(large) == 0:
         large = np.array([int(np.argmax(share))])
     if len(large) > 1 and components == "one":
