@@ -78,7 +78,7 @@ def find_spikes(mesh: TriMesh, *, max_width: float = 4.0, min_slenderness: float
     spikes: list[Spike] = []
     claimed = np.zeros(mesh.n_vertices, dtype=bool)
     for tip in _tips(mesh, spacing):
-        if claimed[tip]:
+        if claimed[tip] or _opens_at_once(mesh, int(tip), spacing, widest):
             continue
         for reach in (2.0 * widest, 4.0 * widest, 12.0 * widest):
             distance = distance_from(mesh, np.array([tip]), reach)
@@ -148,6 +148,13 @@ def _rim(mesh: TriMesh) -> Bools:
     for loop in boundary_loops(mesh.faces):
         rim[loop] = True
     return rim
+
+
+def _opens_at_once(mesh: TriMesh, tip: int, spacing: float, widest: float) -> bool:
+    """Say, without looking far, that a needle of the least length would be too wide."""
+    level = (MIN_LENGTH - 0.5) * spacing
+    distance = distance_from(mesh, np.array([tip]), level + spacing)
+    return float(girths(mesh, distance, np.array([level]))[0]) > np.pi * widest
 
 
 def _base(mesh: TriMesh, distance: Floats, spacing: float, widest: float) -> tuple[float, float]:
