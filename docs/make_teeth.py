@@ -117,8 +117,8 @@ def main() -> None:
     for i, tooth in zip(ids, after, strict=True):
         m, r = metrics(out, i, "align"), metrics(out, i, "repair")
         doubt = m["cost_mm"] > 0.95 * m["other_image_cost_mm"]
-        changes = {k: v for k, v in r.items() if k.startswith("n_") and v and k not in ("n_vertices", "n_faces")}
-        words = ", ".join(f"{k[2:].replace('_', ' ')} {v}" for k, v in changes.items() if k != "n_openings") or "-"
+        size = ("area_mm2", "volume_mm3", "n_loops", "n_vertices", "n_faces")
+        words = ", ".join(f"{k.replace('_', ' ')} {v}" for k, v in r.items() if v and k not in size) or "-"
         image = ("yes" if m["mirrored"] else "no") + (", doubtful" if doubt else "")
         costs = [f"{m['cost_mm']:.3f}", f"{m['other_image_cost_mm']:.3f}"]
         rows.append(
