@@ -17,6 +17,7 @@ from ssmpipe.io.outlines import read_outline, write_outline
 from ssmpipe.runner.fingerprint import canonical, file_digest
 from ssmpipe.runner.plan import Plan, PlannedStep, Producer, Step
 from ssmpipe.runner.registry import Registry
+from ssmpipe.runner.sources import ID
 
 if TYPE_CHECKING:
     from ssmpipe.runner.workspace import Workspace
@@ -94,6 +95,10 @@ def read_content(chain: Chain | None, name: str) -> dict[str, Any]:
         content = json.loads(chain.text)
         if not isinstance(content["steps"], list) or not isinstance(content["units"], str):
             raise TypeError("steps or units")
+        for item in content["steps"]:
+            kinds = {"id": str, "stage": str, "version": int, "options": dict, "from": dict}
+            if not all(isinstance(item[key], kind) for key, kind in kinds.items()) or not ID.fullmatch(item["id"]):
+                raise TypeError("a step")  # files are named after it, so it may not lead out of a folder
     except (ValueError, KeyError, TypeError) as error:
         raise ArtifactError(f"{name}: its chain is not readable ({error})", "build the model again") from error
     return content

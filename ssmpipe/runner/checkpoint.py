@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import zipfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ssmpipe.core.checkpoints import LAYOUT, State
-from ssmpipe.runner.disk import disk_errors, flush
+from ssmpipe.runner.disk import disk_errors, flush, replacing
 from ssmpipe.runner.manifest import Request, changes
 
 FOLDER = ".checkpoints"
@@ -91,17 +90,10 @@ class CheckpointFile:
             "request": asdict(self.request),
             "versions": self.versions,
         }
-        aside = self.path.with_name(f".{self.path.name}.{os.getpid()}")
+        with replacing(self.path) as file:
+            np.savez(file, **{_KEY: np.array(json.dumps(key))}, **state)  # type: ignore[arg-type]
         with disk_errors():
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            try:
-                with aside.open("wb") as file:
-                    np.savez(file, **{_KEY: np.array(json.dumps(key))}, **state)  # type: ignore[arg-type]
-                flush(aside)
-                os.replace(aside, self.path)
-                flush(self.path.parent)
-            finally:
-                aside.unlink(missing_ok=True)
+            flush(self.path.parent)
 
     def remove(self) -> None:
         """Remove the state, and what a killed run left of the next one."""

@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 
 class DiskError(OSError):
@@ -31,11 +32,25 @@ def write_atomically(path: Path, text: str) -> None:
 
 def write_bytes_atomically(path: Path, content: bytes) -> None:
     """Write a file so that a reader sees the old content or the new one, never a part."""
+    with replacing(path) as file:
+        file.write(content)
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[IO[bytes]]:
+    """Open a file that takes the place of ``path`` at the end, whole and on the disk; it is forgotten when that fails.
+
+    Raises
+    ------
+    DiskError
+        If it cannot be written.
+    """
     with disk_errors():
         path.parent.mkdir(parents=True, exist_ok=True)
         aside = path.with_name(f".{path.name}.{os.getpid()}")
         try:
-            aside.write_bytes(content)
+            with aside.open("wb") as file:
+                yield file
             flush(aside)
             os.replace(aside, path)
         finally:

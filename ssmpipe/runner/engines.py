@@ -11,6 +11,7 @@ import multiprocessing
 import os
 import pickle
 import time
+import uuid
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ import numpy as np
 
 from ssmpipe.core.engine import Arrays, Content
 from ssmpipe.core.errors import SsmpipeError
-from ssmpipe.runner.disk import disk_errors, flush
+from ssmpipe.runner.disk import replacing
 
 _KEPT = 2
 _RETRIES = 3
@@ -60,14 +61,9 @@ class SharedFolder:
             digest.update(array.tobytes())
         key = digest.hexdigest()
         path = self.folder / f"{key}.npz"
-        aside = path.with_name(f".{path.name}.{os.getpid()}")
-        with disk_errors():
-            self.folder.mkdir(parents=True, exist_ok=True)
-            if not path.is_file():
-                with aside.open("wb") as file:
-                    np.savez(file, **arrays)  # type: ignore[arg-type]
-                flush(aside)
-                os.replace(aside, path)
+        if not path.is_file():
+            with replacing(path) as file:
+                np.savez(file, **arrays)  # type: ignore[arg-type]
         self._files = [other for other in self._files if other != path] + [path]
         for old in self._files[:-_KEPT]:
             old.unlink(missing_ok=True)
@@ -127,11 +123,15 @@ class ProcessEngine:
         """
         texts = [pickle.dumps((function, args), protocol=5) for args in arguments]
         results: list[Any] = [None] * len(texts)
-        for first in range(0, len(texts), self.n_workers):
-            now = range(first, min(first + self.n_workers, len(texts)))
-            sent = [self._send(k - first, texts[k]) for k in now]
-            for k, ok in zip(now, sent, strict=True):
-                results[k] = self._answer(k - first, texts[k], ok)
+        try:
+            for first in range(0, len(texts), self.n_workers):
+                now = range(first, min(first + self.n_workers, len(texts)))
+                sent = [self._send(k - first, texts[k]) for k in now]
+                for k, ok in zip(now, sent, strict=True):
+                    results[k] = self._answer(k - first, texts[k], ok)
+        except BaseException:
+            self._drop_all()  # answers that nobody took would be taken for those of the next call
+            raise
         return results
 
     def _send(self, place: int, text: bytes) -> bool:
@@ -178,10 +178,13 @@ class ProcessEngine:
             worker[0].kill()
             worker[0].join()
 
-    def close(self) -> None:
-        """End the processes."""
+    def _drop_all(self) -> None:
         for place in range(self.n_workers):
             self._drop(place)
+
+    def close(self) -> None:
+        """End the processes."""
+        self._drop_all()
         self._folder.clear()
 
     def __enter__(self) -> ProcessEngine:
@@ -230,6 +233,8 @@ class DaskEngine:
         self._folder = SharedFolder(folder)
         self._addresses: list[str] = []
         self._asked = 0.0
+        # a scheduler gives the answer that it has to whoever uses a key again: the keys of two engines must differ
+        self._name = uuid.uuid4().hex
         self._count = 0
 
     @property
@@ -264,7 +269,7 @@ class DaskEngine:
             self._client.submit(
                 function,
                 *args,
-                key=f"{function.__name__}-{id(self)}-{self._count}-{k}",
+                key=f"{function.__name__}-{self._name}-{self._count}-{k}",
                 workers=[places[k % len(places)]] if places else None,
                 allow_other_workers=True,
                 retries=_RETRIES,

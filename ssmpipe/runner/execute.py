@@ -144,7 +144,8 @@ def run_task(
         started()
     begin, clock = time.time(), time.perf_counter()
     saved = CheckpointFile(workspace.out, step.id, request, versions())
-    found = saved.find(force=force) if shape is None and not prepare else Found()
+    every = checkpoint_every if shape is None and not prepare else None
+    found = saved.find(force=force) if every is not None else Found()
     _reset_peak()
     with _scratch(workspace.scratch, f"{shape or 'cohort'}-{step.folder}") as aside:
         with _logger(aside / LOG, f"{shape or 'cohort'}/{step.id}") as log:
@@ -152,8 +153,8 @@ def run_task(
             if progress is not None:
                 ctx.progress = progress
             ctx.engine = engine
-            if shape is None and not prepare and checkpoint_every is not None:
-                ctx.checkpoints = Checkpoints(saved.save, checkpoint_every, found.state)
+            if every is not None:
+                ctx.checkpoints = Checkpoints(saved.save, every, found.state)
             stage = workspace.registry.load(step.stage).suiting([s for s, p in step.inputs.items() if p is not None])
             cfg = stage.config.model_validate_json(json.dumps(_stage_options(step)))
             artifacts = _inputs(

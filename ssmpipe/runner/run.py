@@ -482,7 +482,7 @@ class _Run:
             return
         self.console.begin(name, 1)
         self.console.say(f"  {name}: {decision.reason}", level=2)
-        if not job.prepare:
+        if not job.prepare and job.checkpoint_every is not None:
             found = self._checkpoint(step, job).find(force=step.id in self.chosen.forced)
             if found.line:
                 self.console.say(f"{name}: {found.line}")

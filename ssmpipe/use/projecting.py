@@ -131,7 +131,8 @@ def engine_options(model: ShapeModel, content: Mapping[str, Any]) -> EngineOptio
     kept: dict[str, Any] = {
         name: tuple(value) if isinstance(value, list) else value
         for name, value in given.items()
-        if name in EngineOptions.__dataclass_fields__ and name not in ("reference", "lambda_cut", "boundary", "start")
+        if name in EngineOptions.__dataclass_fields__
+        and name not in ("reference", "lambda_cut", "boundary", "start", "landmark_blocks")
     }
     boundary = given.get("boundary", "auto")
     if boundary == "auto":

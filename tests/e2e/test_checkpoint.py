@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import signal
@@ -101,6 +102,19 @@ def test_the_next_run_continues(
     assert 12 <= int(said[1]) <= 16
     assert results(half.out) == results(whole.out)
     assert not (half.out / FOLDER).exists()
+
+
+def test_without_checkpoints_nothing_is_continued_or_said_to_be(
+    curves: Load, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    break_off(curves("half"), monkeypatch, 2)
+    config = curves("half").path
+    config.write_text(config.read_text().replace("checkpoint_every: 2", "checkpoint_every: null"))
+    project = load_project(config, (), Registry.default())
+    assert run_project(project, RunOptions(jobs=1), Console(0)).exit_code == 0
+    assert "checkpoint" not in capsys.readouterr().out
+    assert "checkpoint" not in json.loads((project.out / "cohort/optimize/timing.json").read_text())
+    assert not (project.out / FOLDER).exists()
 
 
 def test_a_changed_option_discards_it_and_says_why(

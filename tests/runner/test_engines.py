@@ -74,6 +74,19 @@ def _refuse() -> None:
     raise ValueError("no")
 
 
+def _refuse_first(k: int) -> int:
+    if k == 0:
+        raise ValueError("no")
+    return k
+
+
+def test_answers_of_a_call_that_failed_are_not_taken_for_those_of_the_next(tmp_path: Path) -> None:
+    with ProcessEngine(2, tmp_path / "shared") as engine:
+        with pytest.raises(ValueError, match="no"):
+            engine.call(_refuse_first, [(0,), (1,)])
+        assert engine.call(_refuse_first, [(2,), (3,)]) == [2, 3]
+
+
 def test_a_function_that_always_kills_its_process_is_an_error_and_one_that_raises_raises(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

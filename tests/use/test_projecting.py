@@ -133,3 +133,15 @@ def test_a_changed_stage_is_told(result: Path, strangers: Path, tmp_path: Path) 
     code, text = ssmpipe("project", tmp_path / "model.npz", strangers / "egg22.csv", "-o", tmp_path / "out")
     assert code == 2
     assert "does not accept its options any more" in text
+
+
+def test_a_chain_that_leads_out_of_the_folder_is_refused(result: Path, strangers: Path, tmp_path: Path) -> None:
+    arrays = read_npz(result / "cohort/model/model.npz")
+    content = json.loads(str(arrays["chain"]))
+    content["steps"][1]["id"] = "../../align"
+    renamed = {name.replace("prepared/align.", "prepared/../../align."): value for name, value in arrays.items()}
+    write_npz(tmp_path / "model.npz", {**renamed, "chain": np.array(json.dumps(content))})
+    code, text = ssmpipe("project", tmp_path / "model.npz", strangers / "egg22.csv", "-o", tmp_path / "a/out")
+    assert code == 3
+    assert "its chain is not readable (a step)" in text
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["model.npz"]
