@@ -287,7 +287,7 @@ def align(
         (PointSurface.of(source, n), PointSurface.of(target, n, region))
         for n in (min(400, n_points), min(1200, n_points), n_points)
     )
-    scaled = scaled and region is None and ball is None
+    scaled = scaled and region is None
     middle, factor = all_points[0].points.mean(axis=0), 1.0
     if scaled:
         factor = _spread(all_points[1]) / _spread(all_points[0])

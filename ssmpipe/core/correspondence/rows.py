@@ -214,10 +214,9 @@ def _block(stack: SplineStack, space: Reparameterization, weights: Floats, rows:
 
 
 class _Known:
-    """What a process knows of one content; the key is kept on it, so that nothing can be mistaken for it."""
+    """What a process knows of one content."""
 
     def __init__(self, content: Content) -> None:
-        self.key = content.key
         self.stack, self.space, self.weights = _understood(content.load())
         self.blocks: dict[Rows, LandmarkRows] = {}
 
@@ -228,7 +227,7 @@ _KNOWN: OrderedDict[str, _Known] = OrderedDict()
 def _found(content: Content, rows: tuple[Rows, ...], unknowns: Floats) -> tuple[Floats, list[LandmarkRows]]:
     """Return the coefficients, and blocks from the memory of this process, made from the content on a miss."""
     known = _KNOWN.get(content.key)
-    if known is None or known.key != content.key:
+    if known is None:
         known = _KNOWN[content.key] = _Known(content)
         while len(_KNOWN) > _REMEMBERED:
             _KNOWN.popitem(last=False)

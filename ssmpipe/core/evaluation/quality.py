@@ -8,7 +8,7 @@ import numpy as np
 
 from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.evaluation.landmark_transfer import locate
-from ssmpipe.core.mesh.distance import sample_surface
+from ssmpipe.core.mesh.distance import sample_surface, signed_point_to_mesh
 from ssmpipe.core.mesh.grid import grid_faces
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.outline.outline import edge_indices
@@ -111,13 +111,9 @@ def signed_distances(points: Floats, target: Geometry) -> Floats:
     >>> signed_distances(np.array([[0.2, 0.2, 0.5], [0.2, 0.2, -0.5]]), flat)
     array([ 0.5, -0.5])
     """
-    distance, cell, weights = locate(points, target.points, target.cells)
     if target.cells.shape[1] != 3:
-        return distance
-    a, b, c = (target.points[target.cells[cell, k]] for k in range(3))
-    nearest = weights[:, :1] * a + weights[:, 1:2] * b + weights[:, 2:] * c
-    side = ((points - nearest) * np.cross(b - a, c - a)).sum(axis=1)
-    return np.where(side < 0, -distance, distance)
+        return locate(points, target.points, target.cells)[0]
+    return signed_point_to_mesh(points, TriMesh(target.points, target.cells))
 
 
 def dense_spline(spline: BSplineSurface | BSplineCurve) -> Geometry:

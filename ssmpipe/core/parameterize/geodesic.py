@@ -244,7 +244,6 @@ def _funnel(flat: Floats, portals: Ints, ends: Floats) -> list[tuple[int, int]]:
     tip, tip_id = [apex, apex], [-1, -1]
     at, apex_id, k = [-1, -1], -1, 0
     while k <= n:
-        restart = False
         for side, sign in ((1, 1.0), (0, -1.0)):
             new, new_id = places[k, side], int(number[k, side])
             if sign * _turn(apex, tip[side], new) < 0 and tip_id[side] != apex_id:
@@ -260,11 +259,8 @@ def _funnel(flat: Floats, portals: Ints, ends: Floats) -> list[tuple[int, int]]:
                 k += 1
             bends.append((k, other))
             tip, tip_id, at = [apex, apex], [apex_id, apex_id], [k, k]
-            restart = True
             break
         k += 1
-        if restart:
-            continue
     return bends
 
 
