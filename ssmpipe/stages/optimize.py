@@ -13,8 +13,10 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from ssmpipe.contract import Context, Landmarks, NamesShape, Port, Stage, StageConfig, Table
 from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.checkpoints import Checkpoints
+from ssmpipe.core.correspondence.choices import boundary_of, closes, start_of
 from ssmpipe.core.correspondence.correspondence import Correspondence
 from ssmpipe.core.correspondence.optimize import EngineOptions, Optimum, optimize_correspondence
+from ssmpipe.core.correspondence.reparameterization import Boundary
 from ssmpipe.core.errors import ConfigError
 from ssmpipe.core.mesh.grid import grid_faces
 from ssmpipe.core.mesh.trimesh import TriMesh
@@ -323,19 +325,16 @@ def _topology(ids: tuple[str, ...], splines: list[Spline]) -> str:
 
 
 def _start(cfg: Config, splines: Sequence[Spline]) -> Literal["identity", "affine"]:
-    """Resolve ``start: auto``; a cohort without a reference has nothing to register to."""
-    if cfg.start != "auto":
-        return cfg.start
     surfaces = isinstance(splines[0], BSplineSurface) and splines[0].dimension == 3
-    settled = cfg.normalize == "affine" and not cfg.guides and cfg.reference != "none"
-    return "affine" if surfaces and settled else "identity"
+    return start_of(
+        cfg.start, surfaces=surfaces, normalize=cfg.normalize, guided=bool(cfg.guides), reference=cfg.reference
+    )
 
 
-def _boundary(choice: str, topology: str) -> Any:
-    closes = topology not in ("disk", "curve-open")
-    if choice == "periodic" and not closes:
+def _boundary(choice: Boundary | Literal["auto"], topology: str) -> Boundary:
+    if choice == "periodic" and not closes(topology):
         raise ConfigError(f"optimize.boundary: periodic needs shapes that close, these are {topology}", "auto")
-    return ("periodic" if closes else "fixed") if choice == "auto" else choice
+    return boundary_of(choice, topology)
 
 
 def _expected(cfg: Config) -> int:

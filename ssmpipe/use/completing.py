@@ -29,7 +29,7 @@ from ssmpipe.io.arrays import write_npz
 from ssmpipe.io.codecs import write_json
 from ssmpipe.io.mesh_formats import vtp
 from ssmpipe.io.meshes import write_mesh
-from ssmpipe.runner.execute import disk_errors
+from ssmpipe.runner.disk import disk_errors
 
 PARTIAL = "partial"
 """In place of a certificate: a completed fragment has no parameterization of its own."""

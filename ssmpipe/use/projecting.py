@@ -15,6 +15,7 @@ from ssmpipe import __version__
 from ssmpipe.contract import Table
 from ssmpipe.core.align.rigid import apply
 from ssmpipe.core.arrays import Floats
+from ssmpipe.core.correspondence.choices import boundary_of, closes, start_of
 from ssmpipe.core.correspondence.newcomer import FixedCohort, Newcomer, bring_in
 from ssmpipe.core.correspondence.optimize import EngineOptions
 from ssmpipe.core.errors import ConfigError
@@ -37,7 +38,7 @@ from ssmpipe.io.tables import read_cohort, write_table
 from ssmpipe.runner.batch import Batch, Closing, Failure, Job, Outcome
 from ssmpipe.runner.chain import chain_as_steps, optimize_options, read_content
 from ssmpipe.runner.console import Console
-from ssmpipe.runner.execute import disk_errors
+from ssmpipe.runner.disk import disk_errors
 from ssmpipe.runner.fingerprint import file_digest
 from ssmpipe.runner.lock import locked
 from ssmpipe.runner.plan import SCAN, Plan, make_plan
@@ -134,19 +135,15 @@ def engine_options(model: ShapeModel, content: Mapping[str, Any]) -> EngineOptio
         if name in EngineOptions.__dataclass_fields__
         and name not in ("reference", "lambda_cut", "boundary", "start", "landmark_blocks")
     }
-    boundary = given.get("boundary", "auto")
-    if boundary == "auto":
-        boundary = "periodic" if closes(model.topology) else "fixed"
-    start = given.get("start", "identity")
-    if start == "auto":  # as the stage resolves it
-        settled = kept.get("normalize") == "affine" and not given.get("guides") and given.get("reference") != "none"
-        start = "affine" if len(model.faces) and settled else "identity"
+    start = start_of(
+        given.get("start", "identity"),
+        surfaces=len(model.faces) > 0,
+        normalize=str(kept.get("normalize")),
+        guided=bool(given.get("guides")),
+        reference=given.get("reference", ""),
+    )
+    boundary = boundary_of(given.get("boundary", "auto"), model.topology)
     return EngineOptions(**kept, boundary=boundary, lambda_cut=model.lambda_cut, start=start)
-
-
-def closes(topology: str) -> bool:
-    """Whether the first parameter direction closes over its ends."""
-    return topology not in ("disk", "curve-open")
 
 
 def project_scans(
