@@ -487,7 +487,7 @@ def _poles(spline: Spline) -> list[dict[str, Any]]:
 STAGE = Stage(
     name="optimize",
     scope="cohort",
-    version=12,
+    version=13,
     config=Config,
     run=run,
     inputs=(Port("surface", "surface"), Port("transform", "transform"), Port("landmarks", "landmarks", optional=True)),

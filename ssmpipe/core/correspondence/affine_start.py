@@ -17,13 +17,19 @@ _SAME_SIDE = 0.5  # cosine between normals of places that belong together
 
 
 def affine_start(
-    stack: SplineStack, space: Reparameterization, reference: int, *, n_dense: int = 101, n_rounds: int = 12
+    stack: SplineStack,
+    space: Reparameterization,
+    reference: int,
+    *,
+    turns: Floats | None = None,
+    n_dense: int = 101,
+    n_rounds: int = 12,
 ) -> Floats:
     """Return maps that bring the landmarks of the reference near their affine closest points on every shape.
 
     Every shape is registered by itself: an affine map of the reference's landmarks to their present partners, the closest points
-    of the moved landmarks as the next partners (Besl and McKay 1992), from the identity reparameterization on. Smooth maps are
-    then fitted to the parameters of the closest points. They may fold: see :func:`without_folds`.
+    of the moved landmarks as the next partners (Besl and McKay 1992), from the turned identity on. Smooth maps are then fitted
+    to the parameters of the closest points. They may fold: see :func:`without_folds`.
 
     Parameters
     ----------
@@ -32,6 +38,9 @@ def affine_start(
     space : Reparameterization
         With the landmarks as nodes.
     reference : int
+    turns : (n_S,) float64, optional
+        By how much the first parameter of every shape is turned before (:func:`.turns.starting_turns`): an affine map would take a
+        turn of the parameters for one of the shape. Zero by default, and for the reference.
     n_dense : int
         Places per direction among which the closest one is looked up, before one step on the surface.
     n_rounds : int
@@ -45,7 +54,7 @@ def affine_start(
     nodes = stack.evaluate(np.repeat(u[None], stack.n_shapes, axis=0))
     fixed = np.array(nodes.points[reference])
     area = np.cross(nodes.first[0][reference], nodes.first[1][reference])
-    return affine_start_onto(stack, space, fixed, area, n_dense=n_dense, n_rounds=n_rounds, skip=reference)
+    return affine_start_onto(stack, space, fixed, area, turns=turns, n_dense=n_dense, n_rounds=n_rounds, skip=reference)
 
 
 def affine_start_onto(
@@ -54,6 +63,7 @@ def affine_start_onto(
     fixed: Floats,
     area: Floats,
     *,
+    turns: Floats | None = None,
     n_dense: int = 101,
     n_rounds: int = 12,
     skip: int = -1,
@@ -62,16 +72,17 @@ def affine_start_onto(
 
     Parameters
     ----------
-    stack, space, n_dense, n_rounds
+    stack, space, turns, n_dense, n_rounds
         As there.
     fixed, area : (n_P, 3) float64
         Places of the landmarks, and ``S_u x S_v`` there.
     skip : int
         Shape that keeps the identity.
     """
-    identity = space.identity()
-    u = space.evaluate(identity[None])[0]
-    partners = np.array(stack.evaluate(np.repeat(u[None], stack.n_shapes, axis=0)).points)
+    u = space.evaluate(space.identity()[None])[0]
+    ahead = np.zeros(stack.n_shapes) if turns is None else turns
+    coefficients = turned_identity(space, ahead)
+    partners = np.array(stack.evaluate(space.evaluate(coefficients)).points)
     element = np.linalg.norm(area, axis=1)
     normal = area / np.maximum(element, 1e-12 * element.max())[:, None]
     grid = [np.linspace(0.0, 1.0, n_dense, endpoint=not p) for p in space.periodic]
@@ -79,7 +90,6 @@ def affine_start_onto(
     dense = stack.evaluate(np.repeat(dense_u[None], stack.n_shapes, axis=0))
     points, first = np.array(dense.points), [np.array(f) for f in dense.first]
     fit = _Fit(space, u)
-    coefficients = np.repeat(identity[None], stack.n_shapes, axis=0)
     for i in range(stack.n_shapes):
         if i == skip:
             continue
@@ -110,13 +120,20 @@ def affine_start_onto(
                 break
             weight = element * kept
         else:
-            coefficients[i] = fit.maps(target, weight)
+            coefficients[i] = fit.maps(target, weight, float(ahead[i]))
     return coefficients
 
 
-def without_folds(objective: GroupObjective, coefficients: Floats) -> Floats:
-    """Take every map back towards the identity, in steps of 15 %, until its Jacobian is clearly positive."""
-    identity = objective.start().reshape(len(objective.moving), -1)
+def turned_identity(space: Reparameterization, turns: Floats) -> Floats:
+    """Return the identity with the first parameter ahead by a turn, for every shape: (n_S, *n_coefficients, d_par)."""
+    out = np.repeat(space.identity()[None], len(turns), axis=0)
+    out[..., 0] += turns.reshape(-1, *[1] * space.n_directions)
+    return out
+
+
+def without_folds(objective: GroupObjective, coefficients: Floats, turned: Floats) -> Floats:
+    """Take every map back towards the turned identity, in steps of 15 %, until its Jacobian is clearly positive."""
+    identity = objective.unknowns(turned).reshape(len(objective.moving), -1)
     towards = objective.unknowns(coefficients).reshape(identity.shape) - identity
     share = np.ones(len(identity))
     for _ in range(25):
@@ -147,10 +164,11 @@ class _Fit:
         self.bending = bending_matrix(space)
         self.free = space.free.reshape(-1, 2)
 
-    def maps(self, target: Floats, weight: Floats) -> Floats:
-        identity = self.space.identity()
+    def maps(self, target: Floats, weight: Floats, turn: float) -> Floats:
+        identity = turned_identity(self.space, np.array([turn]))[0]
         coefficients = identity.reshape(-1, 2).copy()
         away = target - self.u
+        away[:, 0] -= turn
         share = weight / weight.sum()
         for axis, periodic in enumerate(self.space.periodic):
             if periodic:

@@ -10,7 +10,7 @@ import numpy as np
 from ssmpipe.core.align.affine import affine_to_cohort, affine_to_mean
 from ssmpipe.core.align.procrustes import generalized_procrustes, rotation_between
 from ssmpipe.core.arrays import Floats
-from ssmpipe.core.correspondence.affine_start import LEAST_JACOBIAN, affine_start_onto
+from ssmpipe.core.correspondence.affine_start import LEAST_JACOBIAN, affine_start_onto, turned_identity
 from ssmpipe.core.correspondence.barrier import Barrier
 from ssmpipe.core.correspondence.certificate import Certificate, certify
 from ssmpipe.core.correspondence.covariance import Spectrum, centred_spectrum
@@ -21,6 +21,7 @@ from ssmpipe.core.correspondence.optimize import EngineOptions
 from ssmpipe.core.correspondence.prior import bending_matrix
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
 from ssmpipe.core.correspondence.spectral import SpectralFunction, spectral_function
+from ssmpipe.core.correspondence.turns import starting_turns
 from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.optim.interior import DescentOptions, minimize_interior
 from ssmpipe.core.result import Result, Status
@@ -245,6 +246,11 @@ class FixedCohort:
             self.fixed = self._sized @ np.swapaxes(linear, 1, 2) + offset[:, None]
         self.size = float(np.sqrt(((mean - mean.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
+    def at_equal_size(self, points: Floats) -> tuple[Floats, Floats]:
+        """Return the mean of the fixed shapes, and (n_P, d) posed points, of its size unless sizes count."""
+        scale = 1.0 if self.options.normalize == "none" else self.mean_size / _size(points, self.pose_weights)
+        return self._sized.mean(axis=0), self.centre + scale * (points - self.centre)
+
     def normalization(self, points: Floats) -> tuple[Floats, Floats, float]:
         """Return the linear map, the offset and the size factor that show (n_P, d) posed points as the objective sees them."""
         if self.options.normalize == "none":
@@ -313,15 +319,16 @@ def bring_in(spline: Spline, cohort: FixedCohort) -> Result[Newcomer]:
             f"{space.n_directions} in {cohort.points.shape[2]}"
         )
     stack = SplineStack([spline], space.periodic)
-    coefficients = space.identity()
-    if options.start == "affine" and space.n_directions == 2 and spline.dimension == 3:
-        coefficients = _affine_start(stack, cohort)
     identity = space.identity()
     given = stack.evaluate(space.evaluate(identity[None])).points[0].copy()
     d = given.shape[1]
     rotation, translation = np.eye(d), np.zeros(d)
     if options.pose == "procrustes":
         rotation, translation = cohort.pose(given)
+    turn = _turn(given @ rotation.T + translation, cohort) if space.periodic[0] else 0.0
+    coefficients = turned_identity(space, np.array([turn]))[0]
+    if options.start == "affine" and space.n_directions == 2 and spline.dimension == 3:
+        coefficients = _affine_start(stack, cohort, coefficients, turn)
     spectral = spectral_function(options.objective, float(options.lambda_cut or 0.0))
     constraint = Barrier(options.aggregate, options.floor, options.sharpness)
     moves_pose = options.pose in ("refined", "each-evaluation")
@@ -383,19 +390,26 @@ def bring_in(spline: Spline, cohort: FixedCohort) -> Result[Newcomer]:
     )
 
 
-def _affine_start(stack: SplineStack, cohort: FixedCohort) -> Floats:
+def _turn(posed: Floats, cohort: FixedCohort) -> float:
+    """Return by how much the first parameter is turned before the descent, as the group was; see :func:`starting_turns`."""
+    both = np.stack(cohort.at_equal_size(posed))
+    return float(starting_turns(both.reshape(2, cohort.space.grid[0], -1, posed.shape[1]))[1])
+
+
+def _affine_start(stack: SplineStack, cohort: FixedCohort, turned: Floats, turn: float) -> Floats:
     """Return a map without folds near the affine closest points of the mean, (*n_b, 2)."""
     space, mean = cohort.space, cohort.points.mean(axis=0)
     tangents = grid_tangents(mean, space.grid, cohort.periodic)
-    found = affine_start_onto(stack, space, mean, np.cross(tangents[0], tangents[1]))
-    identity, jacobian = space.identity(), Jacobian(space, cohort.options.form)
+    area = np.cross(tangents[0], tangents[1])
+    found = affine_start_onto(stack, space, mean, area, turns=np.array([turn]))
+    jacobian = Jacobian(space, cohort.options.form)
     share = 1.0
     while share > 0.01:
-        coefficients = identity + share * (found[0] - identity)
+        coefficients = turned + share * (found[0] - turned)
         if jacobian.coefficients(coefficients[None]).min() > LEAST_JACOBIAN:
             return coefficients
         share *= 0.85
-    return identity
+    return turned
 
 
 def _moved(spline: Spline, linear: Floats, offset: Floats) -> Spline:

@@ -14,7 +14,7 @@ from ssmpipe.core.align.affine import affine_to_mean
 from ssmpipe.core.align.procrustes import Alignment, generalized_procrustes
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.checkpoints import Checkpoints
-from ssmpipe.core.correspondence.affine_start import affine_start, without_folds
+from ssmpipe.core.correspondence.affine_start import affine_start, turned_identity, without_folds
 from ssmpipe.core.correspondence.barrier import Aggregate, Barrier
 from ssmpipe.core.correspondence.certificate import Certificate, certify
 from ssmpipe.core.correspondence.direction import apply_directions, components_first, components_last
@@ -257,15 +257,12 @@ def optimize_correspondence(
     recorder = _Recorder(record, Journal(checkpoints))
     reparameterization = cohort.space(opts.n_coefficients)
     levels = _levels(reparameterization) if opts.coarse_to_fine else []
-    coefficients = np.repeat(
-        cohort.space(levels[0] if levels else opts.n_coefficients).identity()[None], len(splines), axis=0
-    )
+    first = cohort.space(levels[0] if levels else opts.n_coefficients)
     if opts.start == "affine":
-        first = cohort.space(levels[0] if levels else opts.n_coefficients)
         coefficients = cohort.affine_start(first)
         cohort.refine_pose(coefficients, first)
     else:
-        coefficients[..., 0] += cohort.turns.reshape(-1, *[1] * len(opts.n_coefficients))
+        coefficients = turned_identity(first, cohort.turns)
     for n, n_next in pairwise([*levels, opts.n_coefficients]):
         coefficients = cohort.descend(coefficients, cohort.space(n), opts.barriers[:1], recorder)[0]
         coefficients = _refined(coefficients, cohort.space(n), cohort.space(n_next))
@@ -340,8 +337,7 @@ class _Cohort:
         turns = starting_turns(start.reshape(len(start), self.output.grid[0], -1, start.shape[2]))
         if not turns.any():
             return turns, start
-        coefficients = np.repeat(self.output.identity()[None], len(start), axis=0)
-        coefficients[..., 0] += turns.reshape(-1, *[1] * self.output.n_directions)
+        coefficients = turned_identity(self.output, turns)
         return turns, self._normalized(self.raw.evaluate(self.output.evaluate(coefficients)).points)
 
     @property
@@ -466,7 +462,9 @@ class _Cohort:
         if space.n_directions != 2 or self.splines[0].dimension != 3:
             raise GeometryError("start: affine is for surfaces", "use start: identity")
         fixed = max(self.reference, 0)
-        return without_folds(self.objective(space), affine_start(self.raw, space, fixed))
+        turns = self.turns - self.turns[fixed]
+        found = affine_start(self.raw, space, fixed, turns=turns)
+        return without_folds(self.objective(space), found, turned_identity(space, turns))
 
     def refine_pose(self, coefficients: Floats, space: Reparameterization) -> bool:
         """Refine poses and normalization from the current correspondence; return whether that moved anything noticeably."""

@@ -13,7 +13,7 @@ from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.spline.evaluate import SplineStack
 from ssmpipe.core.spline.surface import BSplineSurface
 from tests.support.cohorts import line_bumps
-from tests.support.surfaces import bumps, taylor_rate
+from tests.support.surfaces import bumps, taylor_rate, wrapped
 
 OPTIONS = EngineOptions(n_coefficients=(6, 6), landmarks=(17, 17), barriers=(3.0,), max_iterations=60)
 
@@ -118,3 +118,18 @@ def test_an_affine_start_begins_near_the_end_and_ends_no_worse():
     splines, optimum = finished()
     back = bring_in(splines[1], cohort(start="affine")).value
     assert rms(back.points - optimum.points[1]) < 0.25 * rms(back.initial_points - optimum.points[1])
+
+
+@pytest.mark.parametrize("start", ["identity", "affine"])
+def test_a_shape_whose_parameter_lines_start_elsewhere_is_turned(start):
+    options = EngineOptions(
+        n_coefficients=(6, 6), landmarks=(20, 15), boundary="periodic", pose="keep", reference=0, start=start
+    )
+    optimum = optimize_correspondence([wrapped("tube", n=16, bump=b) for b in (1.0, 0.7, 1.2, 1.4)], options).value
+    options = replace(options, lambda_cut=optimum.lambda_cut)
+    fixed = FixedCohort(optimum.points, (20, 15), closes=True, options=options)
+    found = bring_in(wrapped("tube", n=16, phase=0.35, bump=1.1), fixed).value
+    field = found.parameters.reshape(20, 15, 2)
+    turn = (field[..., 0] - (np.arange(20) / 20)[:, None])[:, 3:-3].mean()
+    assert (turn + 0.35 + 0.5) % 1.0 - 0.5 == pytest.approx(0.0, abs=2e-3)
+    assert found.certificate.verdict == "proved"
