@@ -46,5 +46,11 @@ def within(state: State, prefix: str) -> dict[str, NDArray[Any]]:
 
 
 def under(state: State, prefix: str) -> dict[str, NDArray[Any]]:
-    """Return a state with ``prefix/`` before every name."""
+    """Return a state with ``prefix/`` before every name.
+
+    Examples
+    --------
+    >>> under({"x": np.zeros(1)}, "a")
+    {'a/x': array([0.])}
+    """
     return {f"{prefix}/{name}": a for name, a in state.items()}

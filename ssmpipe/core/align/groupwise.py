@@ -77,7 +77,16 @@ def align_group(
 
 
 def union(meshes: Mapping[str, TriMesh], poses: Mapping[str, Floats]) -> TriMesh:
-    """Return all shapes in their poses as one mesh of as many pieces, in the order of ``meshes``."""
+    """Return all shapes in their (4, 4) poses as one mesh of as many pieces, in the order of ``meshes``.
+
+    Examples
+    --------
+    >>> from ssmpipe.core.mesh.primitives import sphere
+    >>> ball = sphere(1.0, 1)
+    >>> both = union({"a": ball, "b": ball}, {"a": np.eye(4), "b": homogeneous(np.eye(3), np.array([5.0, 0, 0]))})
+    >>> both.n_faces == 2 * ball.n_faces, round(float(both.vertices[ball.n_vertices :, 0].mean()), 6)
+    (True, 5.0)
+    """
     pieces = [move(mesh, poses[i]) for i, mesh in meshes.items()]
     offsets = np.cumsum([0] + [piece.n_vertices for piece in pieces[:-1]])
     faces = np.vstack([piece.faces + offset for piece, offset in zip(pieces, offsets, strict=True)])

@@ -125,7 +125,14 @@ def affine_start_onto(
 
 
 def turned_identity(space: Reparameterization, turns: Floats) -> Floats:
-    """Return the identity with the first parameter ahead by a turn, for every shape: (n_S, *n_coefficients, d_par)."""
+    """Return the identity with the first parameter ahead by a turn, for every shape: (n_S, *n_coefficients, d_par).
+
+    Examples
+    --------
+    >>> space = Reparameterization((5,), (np.linspace(0, 1, 9)[:-1],), boundary="periodic")
+    >>> space.evaluate(turned_identity(space, np.array([0.0, 0.25])))[:, 0, 0]
+    array([0.  , 0.25])
+    """
     out = np.repeat(space.identity()[None], len(turns), axis=0)
     out[..., 0] += turns.reshape(-1, *[1] * space.n_directions)
     return out

@@ -76,7 +76,30 @@ def tube_profile(mesh: TriMesh, line: Floats, step: float, window: float, n_orde
 
 
 def point_on_line(line: Floats, at: float, window: float) -> tuple[Floats, Floats]:
-    """Return the point of a polyline at an arc length, and its unit tangent, from a parabola through what lies near it."""
+    """Return the point of a polyline at an arc length, and its unit tangent, from a parabola through what lies near it.
+
+    Parameters
+    ----------
+    line : (n, 3) float64
+        [mm]
+    at, window : float
+        Arc length from the start, and half the length of line to which the parabola is fitted [mm].
+
+    Returns
+    -------
+    point, tangent : (3,) float64
+
+    Raises
+    ------
+    GeometryError
+        If the line has no length.
+
+    Examples
+    --------
+    >>> point, tangent = point_on_line(np.array([[0.0, 0, 0], [0, 0, 4]]), 1.0, 2.0)
+    >>> point.round(9), tangent.round(9)
+    (array([0., 0., 1.]), array([0., 0., 1.]))
+    """
     length = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))]
     low, high = np.clip([at - window, at + window], 0.0, length[-1])
     if high <= low:

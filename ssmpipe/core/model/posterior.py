@@ -124,6 +124,18 @@ def posterior(
     Notes
     -----
     Cost: ``n^3 / 3`` for ``n`` observations, and ``n^2 d n_P`` for the uncertainty.
+
+    Examples
+    --------
+    Two points that move alike, with a standard deviation of 2 mm; of one of them it is known that it moved by 2 mm.
+
+    >>> mode = np.full((1, 2, 2), 0.5)
+    >>> mean, no_faces = np.array([[0.0, 0], [9, 0]]), np.empty((0, 3), dtype=np.int64)
+    >>> model = ShapeModel(("a",), mean, mode, np.array([16.0]), np.zeros((1, 1)), (2,), no_faces, "curve-open")
+    >>> seen = Observations.of_places(np.array([0]), np.array([[2.0, 2.0]]))
+    >>> found = posterior(model, Remainder(1e-6, 1.0, 1e-6), seen)
+    >>> found.scores.round(3), found.points.round(3)[1], bool(found.deviation.max() < 0.01)
+    (array([1.]), array([11.,  2.]), True)
     """
     mean, d = model.mean, model.mean.shape[1]
     n_modes = len(model.variances)

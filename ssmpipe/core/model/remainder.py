@@ -166,7 +166,15 @@ def _mixtures() -> list[tuple[int, int, float]]:
 
 
 def spread(points: Floats, n: int) -> Ints:
-    """Return the indices of at most ``n`` points far from each other (farthest first; the first is that nearest to the centroid)."""
+    """Return the numbers of at most ``n`` of (n_P, d) points that lie far from each other, in rising order.
+
+    Always the point farthest from those chosen so far; the first one is that nearest to the centroid.
+
+    Examples
+    --------
+    >>> spread(np.array([[0.0], [1], [2], [3], [8]]), 3)
+    array([0, 3, 4])
+    """
     if len(points) <= n:
         return np.arange(len(points))
     chosen = [int(((points - points.mean(axis=0)) ** 2).sum(axis=1).argmin())]

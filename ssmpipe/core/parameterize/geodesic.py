@@ -100,6 +100,19 @@ def inserted(mesh: TriMesh, geodesic: Geodesic) -> tuple[TriMesh, Ints]:
         The same surface; the old vertices come first.
     path : (n,) int64
         Its vertices along the geodesic.
+
+    Raises
+    ------
+    TopologyError
+        If the geodesic touches itself.
+
+    Examples
+    --------
+    >>> from ssmpipe.core.mesh.primitives import flat_square
+    >>> square = flat_square(4)
+    >>> finer, path = inserted(square, straightened(square, np.array([0, 4, 5, 9, 13, 14, 15])))
+    >>> bool(np.isclose(np.linalg.norm(np.diff(finer.vertices[path], axis=0), axis=1).sum(), np.sqrt(2)))
+    True
     """
     rim = np.zeros(mesh.n_vertices, dtype=bool)
     rim[boundary_half_edges(mesh.faces)] = True

@@ -102,6 +102,17 @@ def remove_spikes(mesh: TriMesh, spikes: list[Spike]) -> tuple[TriMesh, list[Spi
         The vertices away from the needles stay to the bit.
     removed : list of Spike
         Those that could be removed; one whose hole cannot be closed, or that sits on a rim, stays.
+
+    Examples
+    --------
+    >>> from ssmpipe.core.mesh.primitives import sphere
+    >>> ball = sphere(10.0, 4)
+    >>> vertices = ball.vertices.copy()
+    >>> vertices[100] *= 1.5
+    >>> hurt = TriMesh(vertices, ball.faces)
+    >>> smooth, removed = remove_spikes(hurt, find_spikes(hurt))
+    >>> len(removed), bool(np.linalg.norm(smooth.vertices, axis=1).max() < 10.5)
+    (1, True)
     """
     removed = []
     spacing = _spacing(mesh)
