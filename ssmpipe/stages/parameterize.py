@@ -29,6 +29,7 @@ from ssmpipe.core.parameterize.poles import apex_of, ends_of
 from ssmpipe.core.parameterize.seam import Seam
 from ssmpipe.core.parameterize.slim import parameterize_slim
 from ssmpipe.core.parameterize.stretch import parameterize_square
+from ssmpipe.core.parameterize.traced import parameterize_traced
 from ssmpipe.core.parameterize.tube import parameterize_tube
 from ssmpipe.core.result import Result
 
@@ -52,6 +53,13 @@ class Config(StageConfig):
         Literal["periodic", "straight"],
         Field(
             description="Cut of a tube in the square. periodic: where the map is smooth across it; straight: u = 0, by arc length."
+        ),
+    ] = "periodic"
+    cone: Annotated[
+        Literal["periodic", "traced"],
+        Field(
+            description="How u of a cone is found. periodic: one solve with period 1, then relaxed; traced, for comparison: between two "
+            "traced lines of steepest ascent of v, in two regions, not relaxed (max_iterations has no part in it)."
         ),
     ] = "periodic"
     method: Annotated[
@@ -119,6 +127,8 @@ class Config(StageConfig):
             raise ValueError("n_remap must be 0 or at least 4")
         if self.method == "slim" and self.topology not in ("auto", "disk"):
             raise ValueError(f"method: slim is for topology: disk, not for {self.topology}")
+        if self.cone == "traced" and self.topology != "cone":
+            raise ValueError(f"cone: traced is for topology: cone, not for {self.topology}")
         return self
 
 
@@ -190,7 +200,7 @@ def _poles(
     cfg: Config,
     ctx: Context,
 ) -> dict[str, Any]:
-    """See :func:`ssmpipe.core.parameterize.cone.parameterize_poles`."""
+    """See :func:`ssmpipe.core.parameterize.cone.parameterize_poles` and :mod:`ssmpipe.core.parameterize.traced`."""
     apex, seam_point = marks.role("apex"), marks.role("seam")
     antapex = marks.role("antapex") if topology == "closed" else None
     ctx.metric("apex_from", "landmark" if apex is not None else "geometry" if reference is None else "reference")
@@ -207,17 +217,22 @@ def _poles(
         poles = apply(onto, _own_poles(mesh if reference is None else reference, topology, cfg, ctx))
         antapex, apex = (None if topology == "cone" else poles[0]), poles[-1]
     assert apex is not None
-    found = parameterize_poles(
-        mesh,
-        apex,
-        antapex,
-        seam_point=seam_point,
-        # heights along the direction where the shape lies on the reference
-        seam_direction=np.linalg.inv(onto[:3, :3]).T @ np.array(cfg.seam_direction),
-        eta=cfg.eta,
-        max_iterations=cfg.max_iterations,
-        n_remap=cfg.n_remap,
-    )
+    # heights along the direction where the shape lies on the reference
+    side = np.linalg.inv(onto[:3, :3]).T @ np.array(cfg.seam_direction)
+    if cfg.cone == "traced":
+        found = parameterize_traced(mesh, apex, seam_point=seam_point, seam_direction=side, n_remap=cfg.n_remap)
+        ctx.metric("kink", found.kink)
+    else:
+        found = parameterize_poles(
+            mesh,
+            apex,
+            antapex,
+            seam_point=seam_point,
+            seam_direction=side,
+            eta=cfg.eta,
+            max_iterations=cfg.max_iterations,
+            n_remap=cfg.n_remap,
+        )
     ctx.metric("stretch_before", float(found.stretch[0]))
     ctx.metric("stretch", float(found.stretch[-1]))
     ctx.metric("n_iterations", found.n_rounds)

@@ -7,7 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from ssmpipe.contract import Context, Landmarks
-from ssmpipe.core.errors import ConfigError, LandmarkError
+from ssmpipe.core.errors import ConfigError, FoldoverError, LandmarkError
 from ssmpipe.core.mesh.primitives import sphere, star_shape
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.parameterize.seam import Seam
@@ -61,6 +61,32 @@ def test_landmarks_place_poles_and_seam():
     assert np.linalg.norm(samples["samples"][0] - points["side"], axis=1).min() < 1.0
     with pytest.raises(LandmarkError, match=r"needs both poles; missing: antapex"):
         go(parameterize, {"topology": "closed"}, mesh=lump, landmarks=Landmarks(points, {"apex": "top"}))
+
+
+def test_a_traced_cone_goes_through_to_a_spline_that_closes():
+    made, ctx = go(parameterize, {"topology": "cone", "cone": "traced"}, mesh=cap())
+    plain, _ = go(parameterize, {"topology": "cone"}, mesh=cap())
+    assert not ctx.warnings
+    assert (ctx.metrics["n_flips"], ctx.metrics["n_iterations"]) == (0, 0)
+    assert ctx.metrics["kink"] > 0
+    assert ctx.metrics["stretch"] < ctx.metrics["stretch_before"]
+    assert made["mesh"].n_vertices > plain["mesh"].n_vertices
+    # both lines are in the mesh
+    assert min((made["uv"][:, 0] == 0.0).sum(), len(made["seam"].pairs)) > 20
+    samples, _ = go(sample, {"grid": (80, 80)}, **made)
+    fitted, ctx = go(fit, {"n_control": (30, 30)}, samples=samples["samples"], mesh=made["mesh"])
+    control = fitted["surface"].control_points
+    assert np.array_equal(control[0], control[-1])
+    assert ctx.metrics["spline_to_mesh_rms_mm"] < 0.2
+    # triangles that were turned over and mended are told, those that are left stop the shape
+    _, ctx = go(parameterize, {"topology": "cone", "cone": "traced"}, mesh=noisy(cap(), np.random.default_rng(1), 0.4))
+    assert any("triangles over, so negative weights were raised" in text for text in ctx.warnings)
+    with pytest.raises(
+        FoldoverError, match=r"triangles are turned over in the square, the first at \(.*cone: periodic"
+    ):
+        go(parameterize, {"topology": "cone", "cone": "traced"}, mesh=noisy(cap(), np.random.default_rng(0), 1.0))
+    with pytest.raises(ValidationError, match=r"cone: traced is for topology: cone, not for closed"):
+        parameterize.Config(topology="closed", cone="traced")
 
 
 def test_options_change_what_they_say():

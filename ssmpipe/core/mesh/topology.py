@@ -113,6 +113,24 @@ def face_components(faces: Ints) -> Ints:
     return rank[inverse]
 
 
+def face_neighbours(faces: Ints) -> Ints:
+    """Return the face across the side from corner k to k + 1, (n_faces, 3); -1 where there is none.
+
+    Examples
+    --------
+    >>> face_neighbours(np.array([[0, 1, 2], [0, 2, 3]])).tolist()
+    [[-1, -1, 1], [0, -1, -1]]
+    """
+    edges = unique_edges(faces)
+    order = np.argsort(edges.of_face.ravel(), kind="stable")
+    start = np.concatenate([[0], np.cumsum(edges.n_faces)])
+    inner = np.flatnonzero(edges.n_faces == 2)
+    one, other = order[start[inner]], order[start[inner] + 1]
+    result = np.full(3 * len(faces), -1)
+    result[one], result[other] = other // 3, one // 3
+    return result.reshape(-1, 3)
+
+
 def euler_characteristic(faces: Ints) -> int:
     """Return V - E + F, counting only vertices in use: 2 for a sphere, 1 for a disk, 0 for a tube or torus."""
     return len(np.unique(faces)) - len(unique_edges(faces).vertices) + len(faces)

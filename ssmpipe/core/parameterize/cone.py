@@ -51,6 +51,9 @@ class PoleMap:
         Triangles that the plain harmonic weights turn over; above zero, negative weights were raised.
     ring_before, ring : (n_poles,) float64
         Share of v that the faces around each pole span, in the harmonic map and in the end.
+    kink : float
+        Slope of u behind the opposite line of :mod:`~ssmpipe.core.parameterize.traced` by that before it, on the mean along it;
+        1 for maps without such a line.
     """
 
     mesh: TriMesh
@@ -62,6 +65,7 @@ class PoleMap:
     n_folds_harmonic: int
     ring_before: Floats
     ring: Floats
+    kink: float = 1.0
 
 
 def parameterize_poles(
@@ -138,10 +142,12 @@ def parameterize_poles(
     if n_remap:
         uv, after = remap_periodic(opened, uv, wrapped.poles, n_coefficients=n_remap)
         uv, stretch = placed(uv), np.append(stretch, after[-1])
-    _refuse_folds(opened, uv, wrapped.poles)
+    refuse_folds(opened, uv, wrapped.poles)
     seam = Seam("cone" if antapex is None else "closed", wrapped.opened.pairs, wrapped.poles)
-    rings = [_rings(opened, field, wrapped.poles) for field in (harmonic, uv)]
-    return PoleMap(opened, uv, seam, stretch, relaxed.n_iterations, relaxed.status == "converged", n_folds, *rings)
+    before, ring = (pole_rings(opened, field, wrapped.poles) for field in (harmonic, uv))
+    return PoleMap(
+        opened, uv, seam, stretch, relaxed.n_iterations, relaxed.status == "converged", n_folds, before, ring
+    )
 
 
 def u_at(mesh: TriMesh, uv: Floats, point: Floats) -> float:
@@ -183,7 +189,7 @@ def _cut(mesh: TriMesh, apex: Floats, antapex: Floats | None) -> Wrapped:
     return wrap(cut_along(mesh, path, poles), bottom, np.array([top]), poles)
 
 
-def _rings(mesh: TriMesh, uv: Floats, poles: tuple[int, ...]) -> Floats:
+def pole_rings(mesh: TriMesh, uv: Floats, poles: tuple[int, ...]) -> Floats:
     """Return the mean share of v between each pole and its neighbours."""
     shares = []
     for pole in poles:
@@ -192,11 +198,12 @@ def _rings(mesh: TriMesh, uv: Floats, poles: tuple[int, ...]) -> Floats:
     return np.array(shares)
 
 
-def _refuse_folds(mesh: TriMesh, uv: Floats, poles: tuple[int, ...]) -> None:
+def refuse_folds(mesh: TriMesh, uv: Floats, poles: tuple[int, ...], remedy: str = "") -> None:
+    """Raise an error with the number of triangles that are turned over, and the place of the first one."""
     bad = np.flatnonzero(folded_periodic(mesh, uv, poles))
     if len(bad):
         x, y, z = mesh.vertices[mesh.faces[bad[0]]].mean(axis=0)
         raise FoldoverError(
             f"{len(bad)} of {mesh.n_faces} triangles are turned over in the square, the first at ({x:.1f}, {y:.1f}, {z:.1f}) mm",
-            "smooth or decimate the mesh first, it has slivers",
+            remedy or "smooth or decimate the mesh first, it has slivers",
         )

@@ -14,7 +14,7 @@ from ssmpipe.core.mesh.topology import boundary_loops, euler_characteristic, loo
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.parameterize.boundary import corners_by_angle, rim_centroid, split_chords
 from ssmpipe.core.parameterize.cutting import cut_along, shortest_path
-from ssmpipe.core.parameterize.geodesic import Geodesic, inserted, straightened
+from ssmpipe.core.parameterize.geodesic import SurfacePath, inserted, straightened
 from ssmpipe.core.parameterize.seam import Seam
 
 SNAP = 1e-3
@@ -134,9 +134,9 @@ def cut_tube(
     if through is None:
         ends = []
         for rim in rims:
-            place, cosine = _rim_place(mesh, rim, side)
+            place, cosine = rim_place(mesh, rim, side)
             clearness = min(clearness, cosine)
-            mesh, vertex = _insert_on_rim(mesh, rim, place)
+            mesh, vertex = insert_on_rim(mesh, rim, place)
             ends.append(vertex)
         mesh = split_chords(mesh)
         on_rims = np.concatenate(boundary_loops(mesh.faces))
@@ -166,7 +166,7 @@ def _straight(mesh: TriMesh, path: Ints, middle: int | None) -> tuple[TriMesh, I
         return inserted(mesh, straightened(mesh, path))
     at = int(np.flatnonzero(path == middle)[0])
     down, up = (_nearest_on_rim(mesh, part) for part in (path[at::-1], path[at:]))
-    joined = Geodesic(
+    joined = SurfacePath(
         np.concatenate([down.edges[::-1], up.edges[1:]]),
         np.concatenate([down.fraction[::-1], up.fraction[1:]]),
         down.length + up.length,
@@ -174,7 +174,7 @@ def _straight(mesh: TriMesh, path: Ints, middle: int | None) -> tuple[TriMesh, I
     return inserted(mesh, joined)
 
 
-def _nearest_on_rim(mesh: TriMesh, path: Ints) -> Geodesic:
+def _nearest_on_rim(mesh: TriMesh, path: Ints) -> SurfacePath:
     """Return the geodesic to the vertex of the rim, near the end of a path, that is nearest to its start."""
     best = straightened(mesh, path)
     rim = next(loop for loop in boundary_loops(mesh.faces) if path[-1] in loop)
@@ -194,7 +194,7 @@ def _nearest_on_rim(mesh: TriMesh, path: Ints) -> Geodesic:
     return best
 
 
-def _rim_place(mesh: TriMesh, rim: Ints, side: Floats) -> tuple[Floats, float]:
+def rim_place(mesh: TriMesh, rim: Ints, side: Floats) -> tuple[Floats, float]:
     """Return the place of a rim on a side of its centroid, and the cosine between the side and the plane of the rim."""
     start, end = mesh.vertices[rim], mesh.vertices[np.roll(rim, -1)]
     center = rim_centroid(mesh, rim)
@@ -213,7 +213,7 @@ def _rim_place(mesh: TriMesh, rim: Ints, side: Floats) -> tuple[Floats, float]:
     return corners_by_angle(mesh, rim, (0.0,), axes)[0], cosine
 
 
-def _insert_on_rim(mesh: TriMesh, rim: Ints, place: Floats) -> tuple[TriMesh, int]:
+def insert_on_rim(mesh: TriMesh, rim: Ints, place: Floats) -> tuple[TriMesh, int]:
     """Make a place on a rim a vertex."""
     start, side = mesh.vertices[rim], mesh.vertices[np.roll(rim, -1)] - mesh.vertices[rim]
     t = np.clip(np.einsum("ij,ij->i", place - start, side) / np.einsum("ij,ij->i", side, side), 0.0, 1.0)

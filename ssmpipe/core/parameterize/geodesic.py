@@ -10,7 +10,7 @@ import numpy as np
 from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.errors import TopologyError
 from ssmpipe.core.mesh.operators import edge_lengths
-from ssmpipe.core.mesh.topology import boundary_half_edges, split_edges, unique_edges
+from ssmpipe.core.mesh.topology import boundary_half_edges, face_neighbours, split_edges, unique_edges
 from ssmpipe.core.mesh.trimesh import TriMesh
 
 SNAP = 1e-3
@@ -18,8 +18,8 @@ SNAP = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Geodesic:
-    """A locally shortest path on a surface.
+class SurfacePath:
+    """A path on a surface that is straight within every face.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Geodesic:
     length: float
 
 
-def straightened(mesh: TriMesh, path: Ints, max_rounds: int = 100_000) -> Geodesic:
+def straightened(mesh: TriMesh, path: Ints, max_rounds: int = 100_000) -> SurfacePath:
     """Return the geodesic to which a path of edges shrinks, between the same ends.
 
     The faces beside the path are unfolded into the plane, where a funnel gives the shortest line in their strip (Lee and
@@ -66,7 +66,7 @@ def straightened(mesh: TriMesh, path: Ints, max_rounds: int = 100_000) -> Geodes
     """
     if len(path) == 2:
         return _along(mesh, path)
-    neighbour = _neighbours(mesh)
+    neighbour = face_neighbours(mesh.faces)
     total = _angles(mesh)
     rim = np.zeros(mesh.n_vertices, dtype=bool)
     rim[boundary_half_edges(mesh.faces)] = True
@@ -91,20 +91,27 @@ def straightened(mesh: TriMesh, path: Ints, max_rounds: int = 100_000) -> Geodes
     )
 
 
-def inserted(mesh: TriMesh, geodesic: Geodesic) -> tuple[TriMesh, Ints]:
-    """Make a geodesic a path of edges: every edge that it crosses gets a vertex there.
+def inserted(mesh: TriMesh, line: SurfacePath, snap: float = SNAP) -> tuple[TriMesh, Ints]:
+    """Make a path on the surface a path of edges: every edge that it crosses gets a vertex there.
+
+    Parameters
+    ----------
+    mesh : TriMesh
+    line : SurfacePath
+    snap : float
+        Where it crosses an edge nearer than this share of its length to an inner vertex it is led through the vertex [-].
 
     Returns
     -------
     mesh : TriMesh
-        The same surface; the old vertices come first.
+        The same surface; the old vertices come first, then the new ones along the line.
     path : (n,) int64
-        Its vertices along the geodesic.
+        Its vertices along the line.
 
     Raises
     ------
     TopologyError
-        If the geodesic touches itself.
+        If the line touches itself.
 
     Examples
     --------
@@ -116,15 +123,15 @@ def inserted(mesh: TriMesh, geodesic: Geodesic) -> tuple[TriMesh, Ints]:
     """
     rim = np.zeros(mesh.n_vertices, dtype=bool)
     rim[boundary_half_edges(mesh.faces)] = True
-    a, b = geodesic.edges.T
-    t = geodesic.fraction
-    at_a = (a == b) | ((t < SNAP) & ~rim[a])
-    at_b = ~at_a & (t > 1 - SNAP) & ~rim[b]
+    a, b = line.edges.T
+    t = line.fraction
+    at_a = (a == b) | ((t < snap) & ~rim[a])
+    at_b = ~at_a & (t > 1 - snap) & ~rim[b]
     crossing = ~at_a & ~at_b
     points = mesh.vertices[a] + t[:, None] * (mesh.vertices[b] - mesh.vertices[a])
     number = np.where(at_a, a, b)
     number[crossing] = mesh.n_vertices + np.arange(int(crossing.sum()))
-    result = split_edges(mesh, geodesic.edges[crossing], points[crossing])
+    result = split_edges(mesh, line.edges[crossing], points[crossing])
     path = number[np.r_[True, number[1:] != number[:-1]]]
     known = unique_edges(result.faces).vertices
     pairs = np.sort(np.column_stack([path[:-1], path[1:]]), axis=1)
@@ -134,21 +141,9 @@ def inserted(mesh: TriMesh, geodesic: Geodesic) -> tuple[TriMesh, Ints]:
     return result, path
 
 
-def _along(mesh: TriMesh, path: Ints) -> Geodesic:
+def _along(mesh: TriMesh, path: Ints) -> SurfacePath:
     edges = np.column_stack([path, path])
-    return Geodesic(edges, np.zeros(len(path)), float(edge_lengths(mesh, path[None, :2]).sum()))
-
-
-def _neighbours(mesh: TriMesh) -> Ints:
-    """Return the face across the side from corner k to k + 1, (n_faces, 3); -1 where there is none."""
-    edges = unique_edges(mesh.faces)
-    order = np.argsort(edges.of_face.ravel(), kind="stable")
-    start = np.concatenate([[0], np.cumsum(edges.n_faces)])
-    inner = np.flatnonzero(edges.n_faces == 2)
-    one, other = order[start[inner]], order[start[inner] + 1]
-    result = np.full(3 * mesh.n_faces, -1)
-    result[one], result[other] = other // 3, one // 3
-    return result.reshape(-1, 3)
+    return SurfacePath(edges, np.zeros(len(path)), float(edge_lengths(mesh, path[None, :2]).sum()))
 
 
 def _angles(mesh: TriMesh) -> Floats:
@@ -304,7 +299,7 @@ def _around(mesh: TriMesh, neighbour: Ints, strip: list[int], vertex: int) -> li
 
 def _crossings(
     mesh: TriMesh, bends: list[tuple[int, int]], flat: Floats, portals: Ints, ends: Floats, ids: tuple[int, int]
-) -> Geodesic:
+) -> SurfacePath:
     """Return where the line crosses the portals."""
     corner = [ends[0], *(flat[k, side] for k, side in bends), ends[1]]
     number = [ids[0], *(int(portals[k, side]) for k, side in bends), ids[1]]
@@ -328,4 +323,4 @@ def _crossings(
     edges.append((ids[1], ids[1]))
     fraction.append(0.0)
     length = sum(float(np.linalg.norm(q - p)) for p, q in pairwise(corner))
-    return Geodesic(np.array(edges), np.array(fraction), length)
+    return SurfacePath(np.array(edges), np.array(fraction), length)
