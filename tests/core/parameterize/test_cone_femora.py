@@ -6,6 +6,7 @@ from ssmpipe.core.align.frames import femur_distal_frame
 from ssmpipe.core.align.rigid import apply, move, reflection
 from ssmpipe.core.parameterize.cone import parameterize_poles
 from ssmpipe.core.parameterize.poles import apex_of, ends_of
+from ssmpipe.core.parameterize.traced import parameterize_traced
 from ssmpipe.core.repair.cleaning import clean
 from ssmpipe.core.repair.decimation import decimate
 from ssmpipe.core.repair.trimming import trim
@@ -33,6 +34,10 @@ def test_real_femora_map_without_folds_from_a_repeatable_apex():
         assert found.ring_before[0] > 0.1
         assert found.ring[0] < 0.03
         assert found.stretch[-1] < 1.15 < found.stretch[0]
+        # between two traced lines, without relaxation: as good as the changes of u and v alone make it
+        traced = parameterize_traced(cap, apex)
+        assert traced.stretch[-1] < 1.25 < traced.stretch[0]
+        assert traced.ring[0] < 0.03
         antapex, top, factor, cosine = ends_of(bone, Z)
         assert factor > 4.0
         assert cosine > 0.95
