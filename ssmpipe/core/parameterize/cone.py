@@ -190,7 +190,14 @@ def _cut(mesh: TriMesh, apex: Floats, antapex: Floats | None) -> Wrapped:
 
 
 def pole_rings(mesh: TriMesh, uv: Floats, poles: tuple[int, ...]) -> Floats:
-    """Return the mean share of v between each pole and its neighbours."""
+    """Return the mean share of v between each pole and its neighbours, (n_poles,).
+
+    Examples
+    --------
+    >>> fan = TriMesh(np.eye(3), np.array([[0, 1, 2]]))
+    >>> pole_rings(fan, np.array([[0.0, 0.75], [1.0, 0.75], [0.5, 1.0]]), (2,))
+    array([0.25])
+    """
     shares = []
     for pole in poles:
         around = np.setdiff1d(mesh.faces[(mesh.faces == pole).any(axis=1)], [pole])

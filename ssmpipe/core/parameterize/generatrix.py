@@ -195,7 +195,20 @@ def _nearest_on_rim(mesh: TriMesh, path: Ints) -> SurfacePath:
 
 
 def rim_place(mesh: TriMesh, rim: Ints, side: Floats) -> tuple[Floats, float]:
-    """Return the place of a rim on a side of its centroid, and the cosine between the side and the plane of the rim."""
+    """Return the place of a rim on a side of its centroid, (3,) [mm], and the cosine between the side and the plane of the rim.
+
+    Raises
+    ------
+    GeometryError
+        If the side is across the plane of the rim.
+
+    Examples
+    --------
+    >>> from ssmpipe.core.mesh.primitives import tube
+    >>> pipe = tube(2.0)
+    >>> rim_place(pipe, boundary_loops(pipe.faces)[0], np.array([0.0, 3.0, 0.0]))[0].round(6) + 0.0
+    array([0., 2., 0.])
+    """
     start, end = mesh.vertices[rim], mesh.vertices[np.roll(rim, -1)]
     center = rim_centroid(mesh, rim)
     normal = np.cross(start - center, end - center).sum(axis=0)
@@ -214,7 +227,16 @@ def rim_place(mesh: TriMesh, rim: Ints, side: Floats) -> tuple[Floats, float]:
 
 
 def insert_on_rim(mesh: TriMesh, rim: Ints, place: Floats) -> tuple[TriMesh, int]:
-    """Make a place on a rim a vertex."""
+    """Make the place of a rim that is nearest to a point a vertex; return the mesh and the vertex.
+
+    Examples
+    --------
+    >>> from ssmpipe.core.mesh.primitives import flat_square
+    >>> square = flat_square(3)
+    >>> finer, vertex = insert_on_rim(square, boundary_loops(square.faces)[0], np.array([0.2, -1.0, 0.0]))
+    >>> finer.vertices[vertex]
+    array([0.2, 0. , 0. ])
+    """
     start, side = mesh.vertices[rim], mesh.vertices[np.roll(rim, -1)] - mesh.vertices[rim]
     t = np.clip(np.einsum("ij,ij->i", place - start, side) / np.einsum("ij,ij->i", side, side), 0.0, 1.0)
     edge = int(np.argmin(np.linalg.norm(start + t[:, None] * side - place, axis=1)))
