@@ -72,9 +72,9 @@ def _request(workspace: Workspace, step: PlannedStep, shown: dict[str, Any], pag
         **workspace.input_digests(step, None, ()),
         "record": digest(shown),
         "shapes": digest(dict(pages)),
+        "ssmpipe": digest(shown["ssmpipe_version"]),  # an input, not an option: a forecast knows the options alone
     }
-    config = {**dict(step.options), "ssmpipe": shown["ssmpipe_version"]}
-    return Request(step.stage, step.version, config, inputs, workspace.seed, None)
+    return Request(step.stage, step.version, dict(step.options), inputs, workspace.seed, None)
 
 
 def report_decision(

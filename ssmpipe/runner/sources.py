@@ -327,7 +327,9 @@ def find_sources(
         extra = sorted(set(table or {}) - set(files))
         if extra:
             shown = ", ".join(extra[:3]) + (", ..." if len(extra) > 3 else "")
-            warnings.append(f"{name}: {len(extra)} entries have no scan ({shown})")
+            warnings.append(
+                f"{name}: {len(extra)} {'entry has' if len(extra) == 1 else 'entries have'} no scan ({shown})"
+            )
     return sources, warnings + _spellings(landmarks or {})
 
 

@@ -26,6 +26,7 @@ from ssmpipe.core.spline.poles import is_pole, surface_topology, tangent_plane
 from ssmpipe.core.spline.surface import BSplineSurface
 
 _DEFAULT = EngineOptions()
+POLE_DEVIATION_DEG = 1e-6  # of control points from one plane through the pole: rounding
 
 
 class Config(StageConfig):
@@ -278,13 +279,7 @@ def run(
         )
     correspondence = _correspondence(optimum, ids, topology, transform, options)
     certificate = _certificate(optimum, ids, splines)
-    doubtful = [
-        i for i, one in certificate["shapes"].items() if any(p["status"] != "proved" for p in one.get("poles", ()))
-    ]
-    if doubtful:
-        ctx.warn(
-            f"the tangent plane at a pole of {', '.join(doubtful)} is not proved unique; use fit.seam: smooth, or fewer control points"
-        )
+    _warn_of_poles(certificate["shapes"], ctx)
     history = {key: values.tolist() for key, values in result.history.items()}
     columns = {"iteration": [int(k) for k in history.pop("iteration")], "elapsed_s": elapsed, **history}
     comment = "description_length [nat], in the pose of the moment; elapsed_s is a timing and differs from run to run"
@@ -294,6 +289,20 @@ def run(
         "history": Table(columns, comment),
         "corresponded": _corresponded(correspondence),
     }
+
+
+def _warn_of_poles(shapes: dict[str, Any], ctx: Context) -> None:
+    """Name the shapes that have an edge at a pole, and those that fold there: each needs another remedy."""
+    refuted = {i: [p for p in one.get("poles", ()) if p["status"] != "proved"] for i, one in shapes.items()}
+    edges = [i for i, poles in refuted.items() if any(p["deviation_deg"] > POLE_DEVIATION_DEG for p in poles)]
+    folds = [i for i, poles in refuted.items() if poles and i not in edges]
+    if edges:
+        ctx.warn(f"the tangent plane at a pole of {', '.join(edges)} is not proved unique; use fit.seam: smooth")
+    if folds:
+        ctx.warn(
+            f"the surface of {', '.join(folds)} is not proved to run once around its pole, it may fold there; "
+            "use fewer control points (fit.n_control)"
+        )
 
 
 def _timed(checkpoints: Checkpoints | None, elapsed: list[float]) -> Checkpoints | None:
@@ -478,7 +487,7 @@ def _poles(spline: Spline) -> list[dict[str, Any]]:
                 "normal": plane.normal.tolist(),
                 "deviation_deg": plane.deviation_deg,
                 "winding": plane.winding,
-                "status": "proved" if plane.deviation_deg <= 1e-6 and plane.winding > 1e-9 else "refuted",
+                "status": "proved" if plane.deviation_deg <= POLE_DEVIATION_DEG and plane.winding > 1e-9 else "refuted",
             }
         )
     return found

@@ -53,8 +53,8 @@ def run(
     mirrored = cfg.mirror != "none" and info.side == ("L" if cfg.mirror == "left" else "R")
     if cfg.mirror != "none" and info.side not in ("L", "R"):
         ctx.warn(
-            f"the side of '{info.id}' is unknown, it is not mirrored; add a column 'side' (L or R) to the cohort table, "
-            "or set orient.mirror to none"
+            f"the side of '{info.id}' is unknown, it is not mirrored; add a column 'side' (L or R) to the cohort table "
+            "(or say --side), or set orient.mirror to none"
         )
     matrix = reflection(0) if mirrored else np.eye(4)
     source = "none"

@@ -218,6 +218,8 @@ def load_model(path: Path | str) -> Model:
                 f"{place} holds no model.npz", "give the output folder of a finished run, or model.npz itself"
             )
         place = found[0]
+    if not place.exists():
+        raise ArtifactError(f"there is no {place}", "give model.npz, or the output folder of a finished run")
     if place.suffix != ".npz":
         raise ArtifactError(f"{place.name} is not a model.npz", "give model.npz, or the output folder of a run")
     return Model(load_artifact("model", "model", place.parent, [place.name]), place)

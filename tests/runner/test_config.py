@@ -223,7 +223,7 @@ def test_inputs(tmp_path: Path, scans: Path, registry: Registry) -> None:
     assert (b.side, c.side, c.landmarks) == ("R", None, None)
     assert any(w.startswith("c: no row in the cohort table") for w in project.warnings)
     assert any(w.startswith("b: no landmarks") for w in project.warnings)
-    assert "cohort table: 1 entries have no scan (z)" in project.warnings
+    assert "cohort table: 1 entry has no scan (z)" in project.warnings
     assert a.load()["mesh"].vertices.max() == 100.0
     assert a.load()["transform"][0, 0] == 10.0
 

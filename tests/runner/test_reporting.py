@@ -73,6 +73,9 @@ def test_dry_run_knows_whether_the_report_is_up_to_date(
     assert last() == ("report", False, "up to date")
     assert last(forced=frozenset({"report"})) == ("report", True, "forced")
     assert last("min_shapes=2") == ("report", True, "input changed: record")
+    step, runs, reason = last("stages.grow.factor=3")
+    assert (step, runs) == ("report", True)
+    assert reason.startswith("input may change: "), reason
 
 
 def test_status_tells_whether_the_report_is_up_to_date(

@@ -66,6 +66,8 @@ def test_what_cannot_be_loaded_is_named(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("x")
     with pytest.raises(ArtifactError, match=r"a\.txt is not a model\.npz"):
         ssmpipe.load_model(tmp_path / "a.txt")
+    with pytest.raises(ArtifactError, match=f"there is no {tmp_path / 'nowhere'}"):
+        ssmpipe.load_model(tmp_path / "nowhere")
     np.savez(tmp_path / "model.npz", mean=np.zeros(3))
     with pytest.raises(ArtifactError, match="has no array"):
         ssmpipe.load_model(tmp_path)
