@@ -4,7 +4,7 @@ Every cell runs in a process of its own, so that the peak belongs to it alone (i
 input, 0.1 to 0.2 GB). Inputs are made by marching cubes, with their slivers: a lump for closed surfaces, the same lump cut for disks,
 a tube with three bulges for tubes.
 
-    python -m benchmarks.stages [--faces 70000 700000] [--only NAME ...] [--timeout SECONDS]
+    python -m benchmarks.stages [--faces 70000 700000] [--only NAME ...] [--timeout SECONDS] [--memory GB]
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import logging
 import multiprocessing
+import resource
 import time
 from collections.abc import Callable
 from importlib import import_module
@@ -160,8 +161,9 @@ def peak_memory() -> float:
     return int(next(line for line in status.splitlines() if line.startswith("VmHWM")).split()[1]) / 1e6
 
 
-def child(sender: Connection, stage: str, inputs: Inputs, options: dict[str, Any]) -> None:
+def child(sender: Connection, stage: str, inputs: Inputs, options: dict[str, Any], memory: float) -> None:
     logging.disable()
+    resource.setrlimit(resource.RLIMIT_DATA, (int(memory * 1e9), int(memory * 1e9)))
     wall, cpu = time.perf_counter(), time.process_time()
     try:
         go(stage, inputs, options)
@@ -172,10 +174,12 @@ def child(sender: Connection, stage: str, inputs: Inputs, options: dict[str, Any
     sender.send((time.perf_counter() - wall, time.process_time() - cpu, peak, error))
 
 
-def measure(stage: str, inputs: Inputs, options: dict[str, Any], timeout: float) -> tuple[float, float, float, str]:
+def measure(
+    stage: str, inputs: Inputs, options: dict[str, Any], timeout: float, memory: float
+) -> tuple[float, float, float, str]:
     context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=child, args=(sender, stage, inputs, options))
+    process = context.Process(target=child, args=(sender, stage, inputs, options, memory))
     process.start()
     sender.close()
     answer = (timeout, timeout, 0.0, f"more than {timeout:.0f} s")
@@ -195,6 +199,7 @@ def main() -> None:
     parser.add_argument("--faces", type=int, nargs="+", default=[70_000, 700_000])
     parser.add_argument("--only", nargs="*", default=[])
     parser.add_argument("--timeout", type=float, default=300.0)
+    parser.add_argument("--memory", type=float, default=8.0, help="a cell that asks for more [GB] has failed")
     arguments = parser.parse_args()
     head("Mesh stages")
     names = [name for name in CELLS if not arguments.only or any(part in name for part in arguments.only)]
@@ -205,7 +210,7 @@ def main() -> None:
             print(f"{kind}: {mesh.n_faces} faces, {len(boundary_loops(mesh.faces))} openings", flush=True)
         for name in names:
             kind, stage, made, options = CELLS[name]
-            wall, cpu, peak, error = measure(stage, made(kinds[kind]), options, arguments.timeout)
+            wall, cpu, peak, error = measure(stage, made(kinds[kind]), options, arguments.timeout, arguments.memory)
             print(f"  {name}: {wall:.1f} s wall, {cpu:.1f} s CPU, {peak:.2f} GB {error}", flush=True)
             rows[name] += [error] * 3 if error else [f"{wall:.1f}", f"{cpu:.1f}", f"{peak:.2f}"]
     sizes = [f"{n:,} faces, wall [s] | CPU [s] | peak [GB]".replace(",", " ", 1) for n in arguments.faces]

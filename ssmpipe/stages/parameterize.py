@@ -337,7 +337,7 @@ def _own_corners(mesh: TriMesh, cfg: Config, ctx: Context) -> Floats:
 STAGE = Stage(
     name="parameterize",
     scope="shape",
-    version=3,
+    version=4,
     config=Config,
     run=run,
     inputs=(

@@ -41,7 +41,7 @@ def solve_averages(weights: sparse.csr_matrix, fixed: Ints, fixed_values: Floats
     total = np.asarray(rows.sum(axis=1)).ravel()
     rows = sparse.diags(1.0 / total) @ rows
     matrix = sparse.identity(len(inner), format="csc") - rows[:, inner].tocsc()
-    values[inner] = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01).solve(
-        rows[:, fixed] @ fixed_values
-    )
+    values[inner] = splu(
+        matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options={"SymmetricMode": True}
+    ).solve(rows[:, fixed] @ fixed_values)
     return values

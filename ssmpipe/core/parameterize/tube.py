@@ -159,7 +159,9 @@ def _solve(
     flow = np.column_stack([np.asarray(rows.multiply(jumps).sum(axis=1)).ravel(), np.zeros(n)])
     right = (rows @ values + flow)[inner]
     matrix = sparse.identity(len(inner), format="csc") - sparse.csc_matrix(rows[inner][:, inner])
-    values[inner] = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01).solve(right)
+    values[inner] = splu(
+        matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options={"SymmetricMode": True}
+    ).solve(right)
     uv = values[origin]
     uv[seam.pairs[:, 1], 0] += 1.0
     return uv

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ssmpipe.core.arrays import Bools, Floats, Ints
 from ssmpipe.core.errors import GeometryError, TopologyError
@@ -77,17 +78,18 @@ def find_spikes(mesh: TriMesh, *, max_width: float = 4.0, min_slenderness: float
     widest = max_width * spacing
     spikes: list[Spike] = []
     claimed = np.zeros(mesh.n_vertices, dtype=bool)
+    around = _Surroundings(mesh)
     for tip in _tips(mesh, spacing):
-        if claimed[tip] or _opens_at_once(mesh, int(tip), spacing, widest):
+        if claimed[tip] or _opens_at_once(around, int(tip), spacing, widest):
             continue
         for reach in (2.0 * widest, 4.0 * widest, 12.0 * widest):
-            distance = distance_from(mesh, np.array([tip]), reach)
-            length, width = _base(mesh, distance, spacing, widest)
+            part, used, distance = around.within(int(tip), reach)
+            length, width = _base(part, distance, spacing, widest)
             if np.isfinite(length) or width > widest:
                 break
         if width > widest or not max(min_slenderness * width, MIN_LENGTH * spacing) <= length < np.inf:
             continue
-        claimed |= distance <= length
+        claimed[used[distance <= length]] = True
         x, y, z = (float(c) for c in mesh.vertices[tip])
         spikes.append(Spike(int(tip), (x, y, z), length, width))
     return sorted(spikes, key=lambda spike: (-spike.length, spike.place))
@@ -161,11 +163,30 @@ def _rim(mesh: TriMesh) -> Bools:
     return rim
 
 
-def _opens_at_once(mesh: TriMesh, tip: int, spacing: float, widest: float) -> bool:
+class _Surroundings:
+    """Parts of a mesh around its vertices, found without a pass over the whole mesh."""
+
+    def __init__(self, mesh: TriMesh) -> None:
+        self.mesh = mesh
+        self.tree = cKDTree(mesh.vertices)
+        self.incident = np.argsort(mesh.faces.ravel(), kind="stable") // 3
+        self.first = np.r_[0, np.cumsum(np.bincount(mesh.faces.ravel(), minlength=mesh.n_vertices))]
+
+    def within(self, tip: int, reach: float) -> tuple[TriMesh, Ints, Floats]:
+        """Return what may lie within reach on the surface, its vertices' old numbers, and their distances along edges [mm]."""
+        # nothing is nearer along edges than in a straight line
+        near = self.tree.query_ball_point(self.mesh.vertices[tip], (1.0 + 1e-9) * reach)
+        kept = np.unique(np.concatenate([self.incident[self.first[v] : self.first[v + 1]] for v in near]))
+        used, faces = np.unique(self.mesh.faces[kept], return_inverse=True)
+        part = TriMesh(self.mesh.vertices[used], faces.reshape(-1, 3))
+        return part, used, distance_from(part, np.searchsorted(used, [tip]), reach)
+
+
+def _opens_at_once(around: _Surroundings, tip: int, spacing: float, widest: float) -> bool:
     """Say, without looking far, that a needle of the least length would be too wide."""
     level = (MIN_LENGTH - 0.5) * spacing
-    distance = distance_from(mesh, np.array([tip]), level + spacing)
-    return float(girths(mesh, distance, np.array([level]))[0]) > np.pi * widest
+    part, _, distance = around.within(tip, level + spacing)
+    return float(girths(part, distance, np.array([level]))[0]) > np.pi * widest
 
 
 def _base(mesh: TriMesh, distance: Floats, spacing: float, widest: float) -> tuple[float, float]:
