@@ -11,6 +11,9 @@ from ssmpipe.core.arrays import Floats
 from ssmpipe.core.mesh.distance import sample_surface
 from ssmpipe.core.mesh.trimesh import TriMesh
 
+TIE = 1e-9
+"""Sums that differ by no more than this share are equal [-]."""
+
 
 def distance_quantiles(mesh: TriMesh, n_points: int = 1000, n_quantiles: int = 200) -> Floats:
     """Return quantiles of the distances between all pairs of points spread over a surface, (n_quantiles,) [mm].
@@ -30,6 +33,8 @@ def distribution_distances(meshes: Mapping[str, TriMesh]) -> Floats:
 def medoid(meshes: Mapping[str, TriMesh]) -> str:
     """Return the id of the shape with the smallest sum of distances to the others; the first id wins a tie.
 
+    Ties are common: of an even number of shapes that differ mostly in size, the two middle ones have the same sum, but for rounding.
+
     Examples
     --------
     >>> from ssmpipe.core.mesh.primitives import sphere
@@ -38,4 +43,4 @@ def medoid(meshes: Mapping[str, TriMesh]) -> str:
     """
     ids = sorted(meshes)
     total = distribution_distances({i: meshes[i] for i in ids}).sum(axis=1)
-    return ids[int(np.argmin(total))]
+    return ids[int(np.flatnonzero(total <= (1.0 + TIE) * total.min())[0])]

@@ -63,12 +63,13 @@ def test_wrong_side_is_seen():
 
 
 def test_medoid_is_the_middle_size_in_any_pose():
-    rng = np.random.default_rng(3)
-    meshes = {
-        name: move(TriMesh(size * star_shape(3).vertices, star_shape(3).faces), random_motion(rng))
-        for name, size in (("a", 0.8), ("b", 1.3), ("c", 1.0), ("d", 1.1))
-    }
-    assert medoid(meshes) in ("c", "d")
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        meshes = {
+            name: move(TriMesh(size * star_shape(3).vertices, star_shape(3).faces), random_motion(rng))
+            for name, size in (("a", 0.8), ("b", 1.3), ("c", 1.0), ("d", 1.1))
+        }
+        assert medoid(meshes) == "c"  # the sums of c and d differ by rounding
     distances = distribution_distances({"x": sphere(1.0), "y": move(sphere(1.0), random_motion(rng)), "z": sphere(2.0)})
     assert distances[0, 1] == pytest.approx(0.0, abs=1e-9)
     # the mean distance of two points on a sphere is 4/3 of its radius
