@@ -78,7 +78,7 @@ def run(*, samples: Floats, mesh: TriMesh, cfg: Config, ctx: Context) -> dict[st
 STAGE = Stage(
     name="fit",
     scope="shape",
-    version=2,
+    version=3,
     config=Config,
     run=run,
     inputs=(Port("samples", "samples"), Port("mesh", "trimesh")),

@@ -10,7 +10,7 @@ from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.spline.basis import design_matrix, gauss_rule
 from ssmpipe.core.spline.knots import clamped_uniform_knots
 from ssmpipe.core.spline.periodic import clamped_control, periodic_coefficients
-from ssmpipe.core.spline.poles import flatten_pole
+from ssmpipe.core.spline.poles import smooth_pole
 from ssmpipe.core.spline.surface import BSplineSurface
 
 
@@ -85,8 +85,8 @@ def fit_surface(
     fairness : float, default=0
         Weight of the squared second derivative per direction; 0 is a pure least-squares fit.
     smooth : bool, default=True
-        A surface that closes is periodic of order ``C^(degree - 1)``, the seam included, and its tangent plane at a pole is made
-        unique (:func:`~ssmpipe.core.spline.poles.flatten_pole`). Otherwise it passes through the samples of the seam and has an
+        A surface that closes is periodic of order ``C^(degree - 1)``, the seam included, and differentiable at a pole
+        (:func:`~ssmpipe.core.spline.poles.smooth_pole`). Otherwise it passes through the samples of the seam and has an
         edge there.
 
     Returns
@@ -140,7 +140,9 @@ def fit_surface(
         if (samples[:, column] == samples[0, column]).all():
             control[:, column] = samples[0, column]
             if closes and smooth and samples.shape[2] == 3:
-                control = flatten_pole(control, column)
+                turn = 2.0 * np.pi * np.linspace(0, 1, samples.shape[0])
+                circle = solvers[0] @ np.stack([np.cos(turn), np.sin(turn)], axis=1)
+                control = smooth_pole(control, column, circle)
     return BSplineSurface(degree, knots[0], knots[1], control)
 
 

@@ -71,27 +71,38 @@ def is_pole(surface: BSplineSurface, end: int) -> bool:
     return bool(np.allclose(edge, edge[0], rtol=0, atol=ROUNDING))
 
 
-def flatten_pole(control: Floats, end: int) -> Floats:
-    """Move the row of control points beside a pole onto one plane through the pole, so that the tangent plane is unique.
+def smooth_pole(control: Floats, end: int, circle: Floats) -> Floats:
+    """Move the row of control points beside a pole onto an ellipse around it, so that the surface is smooth there.
 
-    S_v at the pole points from the pole to the curve of that row; when the row lies in a plane, all limits of tangent planes are
-    this plane. The plane is the one nearest to the row.
+    S_v at the pole points from the pole to the curve of that row. A differentiable surface has ``S_v = a cos 2 pi u + b sin 2 pi u``
+    where u turns evenly about the pole, and as an affine image of that wherever u does so in some affine chart of the tangent
+    plane; its plane is that of a and b, and the curve runs once around. The ellipse is the one nearest to the row.
 
     Parameters
     ----------
     control : (n_u, n_v, 3) float64
-        With ``control[:, end]`` one point.
+        With ``control[:, end]`` one point [mm].
     end : {0, -1}
+    circle : (n_u, 2) float64
+        Control points of the unit circle ``(cos 2 pi u, sin 2 pi u)`` in the same spline space.
 
     Returns
     -------
     (n_u, n_v, 3) float64
+
+    Examples
+    --------
+    >>> u = np.linspace(0, 2 * np.pi, 9)
+    >>> circle = np.stack([np.cos(u), np.sin(u)], axis=1)
+    >>> rough = np.zeros((9, 3, 3))
+    >>> rough[:, 1] = np.column_stack([2 * circle, 0.1 * np.cos(2 * u)])
+    >>> bool(np.allclose(smooth_pole(rough, 0, circle)[:, 1], np.column_stack([2 * circle, 0 * u])))
+    True
     """
     out = control.copy()
     row = 1 if end == 0 else -2
-    away = control[:, row] - control[0, end]
-    normal = np.linalg.svd(away[:-1], full_matrices=False)[2][2]
-    out[:, row] = control[0, end] + away - np.multiply.outer(away @ normal, normal)
+    axes = np.linalg.lstsq(circle[:-1], control[:-1, row] - control[0, end], rcond=None)[0]
+    out[:, row] = control[0, end] + circle @ axes
     out[-1, row] = out[0, row]
     return out
 

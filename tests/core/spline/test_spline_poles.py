@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ssmpipe.core.spline.fit import fit_surface, surface_grid
-from ssmpipe.core.spline.poles import flatten_pole, is_pole, surface_topology, tangent_plane
+from ssmpipe.core.spline.poles import is_pole, smooth_pole, surface_topology, tangent_plane
 from ssmpipe.core.spline.surface import BSplineSurface
 from tests.support.surfaces import wrapped
 
@@ -34,10 +34,14 @@ def test_poles_of_an_ellipsoid_have_the_tangent_plane_of_the_axis():
         assert 0.7 < plane.winding < 1.0  # 1 for a circle, 0.9 for the axes 1 : 0.9
 
 
-def test_an_uneven_pole_is_flattened_and_a_folded_one_found():
+def test_an_uneven_pole_becomes_smooth_and_a_folded_one_is_found():
     rough = wrapped("cone", smooth=False)
     assert tangent_plane(rough, -1).deviation_deg > 0.01
-    flat = flatten_pole(rough.control_points, -1)
+    turn = np.linspace(0, 2 * np.pi, 101)
+    samples = np.repeat(np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)[:, None], 8, axis=1)
+    n_control = (len(rough.control_points), 4)
+    circle = fit_surface(samples, degree=(rough.degree[0], 1), n_control=n_control).control_points[:, 0, :2]
+    flat = smooth_pole(rough.control_points, -1, circle)
     assert np.array_equal(flat[0], flat[-1])
     assert np.array_equal(np.delete(flat, -2, axis=1), np.delete(rough.control_points, -2, axis=1))
     surface = BSplineSurface(rough.degree, rough.knots_u, rough.knots_v, flat)
