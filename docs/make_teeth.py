@@ -26,7 +26,7 @@ from scipy.ndimage import gaussian_filter, maximum_filter
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 
-from make_femur_distal import measures_text, optimization_text, run, table  # noqa: E402
+from make_femur_distal import optimization_text, run, table  # noqa: E402
 from make_femur_proximal import metrics, save  # noqa: E402
 
 PROMINENT = 0.35
@@ -152,8 +152,7 @@ def main() -> None:
         "![Before](figures/teeth_before.png)\n",
         "![After](figures/teeth_after.png)\n",
         "## Optimization and model\n",
-        optimization_text(out),
-        measures_text(out),
+        optimization_text(out).replace(" mm²", " (the files have no unit)"),
     ]
     (HERE / "teeth.md").write_text("\n".join(text) + "\n", encoding="utf-8")
 
