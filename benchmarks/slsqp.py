@@ -52,14 +52,14 @@ def run_slsqp(f: GroupObjective, sharpness: float, budget: float) -> tuple[Track
         return out
 
     def constraint(x: Floats) -> Floats:
-        return -aggregate.constraint(f.jacobian.coefficients(f.coefficients(x)[f.moving]))
+        return -aggregate.constraint(f.inequalities.jacobian.coefficients(f.coefficients(x)[f.moving]))
 
     def rows(x: Floats) -> Floats:
         moving = f.coefficients(x)[f.moving]
-        jacobians = f.jacobian.coefficients(moving)
+        jacobians = f.inequalities.jacobian.coefficients(moving)
         excess = aggregate.sharpness * (jacobians.min(axis=1, keepdims=True) - jacobians)
         share = np.exp(excess) / np.exp(excess).sum(axis=1, keepdims=True)
-        pulled = f.jacobian.pull_back(moving, share)[:, f.reparameterization.free]
+        pulled = f.inequalities.jacobian.pull_back(moving, share)[:, f.reparameterization.free]
         out = np.zeros((n_shapes, n_shapes * per_shape))
         for i in range(n_shapes):
             out[i, i * per_shape : (i + 1) * per_shape] = pulled[i]

@@ -13,6 +13,7 @@ import numpy as np
 
 from ssmpipe.contract import Landmarks, ShapeInfo
 from ssmpipe.core.correspondence.correspondence import Correspondence
+from ssmpipe.core.correspondence.window import Window
 from ssmpipe.core.errors import ArtifactError
 from ssmpipe.core.model.shape_model import ShapeModel
 from ssmpipe.core.outline.outline import Outline
@@ -226,6 +227,8 @@ def _save_correspondence(slot: str, obj: Correspondence, folder: Path) -> list[s
     arrays["topology"] = np.array(obj.topology)
     arrays["reference"] = np.array(obj.reference, dtype=np.int64)
     arrays["lambda_cut"] = np.array(obj.lambda_cut, dtype=np.float64)
+    if obj.window is not None:
+        arrays["window"] = np.array([obj.window.low, obj.window.high])
     write_npz(folder / f"{slot}.npz", arrays)
     return [f"{slot}.npz"]
 
@@ -238,6 +241,7 @@ def _load_correspondence(paths: list[Path]) -> Correspondence:
         topology=str(arrays["topology"]),
         reference=int(arrays["reference"]),
         lambda_cut=float(arrays["lambda_cut"]),
+        window=Window(*map(tuple, arrays["window"].tolist())) if "window" in arrays else None,
         **{name: arrays[name] for name in _CORRESPONDENCE_ARRAYS},
     )
 

@@ -5,6 +5,7 @@ version   what changed
 ========  ==========================================================================================
 1         no version number in the file; mean, modes, variances, scores, grid, faces, topology, ids
 2         ``format_version``; ``lambda_cut``; ``chain`` (JSON text) and what its steps had in common
+3         ``window``: (2, d_par) part of the domain that it covers where rims were free, else (0, 0)
 ========  ==========================================================================================
 """
 
@@ -16,13 +17,14 @@ from typing import Any
 
 import numpy as np
 
-from ssmpipe.core.errors import ArtifactError
+from ssmpipe.core.correspondence.window import Window
+from ssmpipe.core.errors import ArtifactError, GeometryError
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.model.shape_model import Chain, ShapeModel
 from ssmpipe.core.outline.outline import Outline
 from ssmpipe.io.arrays import read_npz, write_npz
 
-FORMAT = 2
+FORMAT = 3
 """Version of the layout that is written."""
 _NUMBERS = ("mean", "modes", "variances", "scores", "faces")
 _PREPARED = "prepared/"
@@ -37,6 +39,7 @@ def write_model(path: Path, model: ShapeModel) -> None:
         "grid": np.array(model.grid, dtype=np.int64),
         "topology": np.array(model.topology),
         "lambda_cut": np.array(model.lambda_cut, dtype=np.float64),
+        "window": np.array([model.window.low, model.window.high] if model.window is not None else np.empty((0, 0))),
         "chain": np.array("" if model.chain is None else model.chain.text),
     }
     for name, common in sorted(model.chain.prepared.items()) if model.chain is not None else ():
@@ -65,7 +68,7 @@ def read_model(path: Path) -> ShapeModel:
         )
     for older in range(version, FORMAT):
         arrays = _UPGRADES[older](arrays)
-    wanted = ("ids", *_NUMBERS, "grid", "topology", "lambda_cut", "chain")
+    wanted = ("ids", *_NUMBERS, "grid", "topology", "lambda_cut", "window", "chain")
     missing = [name for name in wanted if name not in arrays]
     if missing:
         raise ArtifactError(f"{path.name} has no array {', '.join(missing)}", "build the model again")
@@ -74,6 +77,7 @@ def read_model(path: Path) -> ShapeModel:
         grid=tuple(arrays["grid"].tolist()),
         topology=str(arrays["topology"]),
         lambda_cut=float(arrays["lambda_cut"]),
+        window=_window(arrays["window"], path.name),
         chain=_chain(arrays),
         **{name: arrays[name] for name in _NUMBERS},
     )
@@ -88,6 +92,18 @@ def read_model(path: Path) -> ShapeModel:
     if not fits:
         raise ArtifactError(f"{path.name}: its arrays do not fit each other", "build the model again")
     return model
+
+
+def _window(array: Any, name: str) -> Window | None:
+    if not array.size:
+        return None
+    try:
+        low, high = array.tolist()
+        return Window(tuple(map(float, low)), tuple(map(float, high)))
+    except (GeometryError, TypeError, ValueError) as error:
+        raise ArtifactError(
+            f"{name}: its window is no part of the parameter domain", "build the model again"
+        ) from error
 
 
 def _chain(arrays: Mapping[str, Any]) -> Chain | None:
@@ -109,5 +125,9 @@ def _from_1(arrays: dict[str, Any]) -> dict[str, Any]:
     return {**arrays, "lambda_cut": np.array(np.nan), "chain": np.array("")}
 
 
-_UPGRADES: Mapping[int, Callable[[dict[str, Any]], dict[str, Any]]] = {1: _from_1}
+def _from_2(arrays: dict[str, Any]) -> dict[str, Any]:
+    return {**arrays, "window": np.empty((0, 0))}
+
+
+_UPGRADES: Mapping[int, Callable[[dict[str, Any]], dict[str, Any]]] = {1: _from_1, 2: _from_2}
 """From a version to the next one."""

@@ -45,6 +45,7 @@ def run(
         faces=correspondence.faces,
         topology=correspondence.topology,
         lambda_cut=correspondence.lambda_cut,
+        window=correspondence.window,
         chain=chain,
     )
     ctx.metric("n_modes", len(variances))

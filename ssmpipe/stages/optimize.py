@@ -13,7 +13,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from ssmpipe.contract import Context, Landmarks, NamesShape, Port, Stage, StageConfig, Table
 from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.checkpoints import Checkpoints
-from ssmpipe.core.correspondence.choices import boundary_of, closes, start_of
+from ssmpipe.core.correspondence.choices import boundary_of, closes, rims_of, start_of
 from ssmpipe.core.correspondence.correspondence import Correspondence
 from ssmpipe.core.correspondence.optimize import EngineOptions, Optimum, optimize_correspondence
 from ssmpipe.core.correspondence.reparameterization import Boundary
@@ -26,7 +26,15 @@ from ssmpipe.core.spline.poles import is_pole, surface_topology, tangent_plane
 from ssmpipe.core.spline.surface import BSplineSurface
 
 _DEFAULT = EngineOptions()
+APART = 0.03
+"""Rims that are kept and lie farther apart than this are worth a word [mean share of the parameter]; see docs/rims.md."""
 POLE_DEVIATION_DEG = 1e-6  # of control points from one plane through the pole: rounding
+
+
+_OPEN_RIMS = (
+    "rims are free: proved as well that D stays in the domain and is one-to-one, by a positive diagonal of its derivative (disk; Gale "
+    "and Nikaido 1965) or rims that are graphs over u and do not meet (tube, cone)"
+)
 
 
 class Config(StageConfig):
@@ -51,6 +59,22 @@ class Config(StageConfig):
             "closed curves, tubes and surfaces with poles, the seam may move; auto: periodic where the splines close, else fixed."
         ),
     ] = "auto"
+    rims: Annotated[
+        Literal["kept", "free"],
+        Field(
+            description="kept: rims correspond to rims. free: rims are cuts at places that differ between the shapes; the model covers the "
+            "part that all shapes have, and its rims may lie anywhere on a shape."
+        ),
+    ] = _DEFAULT.rims
+    max_crop: Annotated[
+        float,
+        Field(
+            ge=0.01,
+            le=0.45,
+            description="Farthest that rims: free moves a rim of the reference inward; shapes that lack more are named "
+            "[share of the parameter].",
+        ),
+    ] = _DEFAULT.max_crop
     covariance: Annotated[
         Literal["discrete", "I", "II"],
         Field(
@@ -199,6 +223,20 @@ class Config(StageConfig):
         return counts
 
     @model_validator(mode="after")
+    def _rims_are_found(self) -> Config:
+        if self.rims == "kept":
+            return self
+        for wrong, remedy in (
+            (bool(self.guides), "guides are for rims: kept"),
+            (self.start == "identity", "its start is a registration: use start: auto"),
+            (self.coarse_to_fine, "coarse_to_fine is for rims: kept"),
+            (len(self.n_coefficients) != 2, "curves have none: use rims: kept"),
+        ):
+            if wrong:
+                raise ValueError(f"optimize.rims is free, but {remedy}")
+        return self
+
+    @model_validator(mode="after")
     def _closed_form_exists(self) -> Config:
         if self.quadrature != "closed-form":
             return self
@@ -229,6 +267,7 @@ def run(
     chosen["lambda_cut"] = None if cfg.lambda_cut == "auto" else cfg.lambda_cut
     topology = _topology(ids, splines)
     chosen["boundary"] = _boundary(cfg.boundary, topology)
+    chosen["open_edges"] = _rims(cfg, topology, splines)
     options = EngineOptions(**chosen, reference=_reference(cfg.reference, ids), start=_start(cfg, splines))
     start = time.perf_counter()
     elapsed: list[float] = []
@@ -277,6 +316,7 @@ def run(
             f"the reparameterization of {', '.join(unproved)} is not proved one-to-one; "
             "use optimize.form: bezier, or raise the last of optimize.barriers"
         )
+    _tell_of_rims(optimum, ids, cfg, ctx)
     correspondence = _correspondence(optimum, ids, topology, transform, options)
     certificate = _certificate(optimum, ids, splines)
     _warn_of_poles(certificate["shapes"], ctx)
@@ -289,6 +329,27 @@ def run(
         "history": Table(columns, comment),
         "corresponded": _corresponded(correspondence),
     }
+
+
+def _tell_of_rims(optimum: Optimum, ids: tuple[str, ...], cfg: Config, ctx: Context) -> None:
+    """Say what a model with free rims covers and who lacks a part of it; where rims are kept, whether they lie apart."""
+    if not optimum.rim_shifts.size:
+        return
+    shift = float(optimum.rim_shifts.mean())
+    ctx.metric("mean_rim_shift", shift)
+    if optimum.window is not None:
+        ctx.metric("window", [list(optimum.window.low), list(optimum.window.high)])
+        if optimum.lacking:
+            ctx.warn(
+                f"{', '.join(ids[i] for i in optimum.lacking)} end before the part that the model covers; raise optimize.max_crop "
+                f"(now {cfg.max_crop:g}), cut the others shorter, or leave them out"
+            )
+    elif shift > APART and not cfg.guides:
+        farthest = ids[int(optimum.rim_shifts.argmax())]
+        ctx.warn(
+            f"the rims lie at different places ({100 * shift:.1f} % of the parameter on average, most for {farthest}: "
+            f"{100 * optimum.rim_shifts.max():.1f} %); if they are cuts and no anatomy, use optimize.rims: free"
+        )
 
 
 def _warn_of_poles(shapes: dict[str, Any], ctx: Context) -> None:
@@ -336,8 +397,25 @@ def _topology(ids: tuple[str, ...], splines: list[Spline]) -> str:
 def _start(cfg: Config, splines: Sequence[Spline]) -> Literal["identity", "affine"]:
     surfaces = isinstance(splines[0], BSplineSurface) and splines[0].dimension == 3
     return start_of(
-        cfg.start, surfaces=surfaces, normalize=cfg.normalize, guided=bool(cfg.guides), reference=cfg.reference
+        cfg.start,
+        surfaces=surfaces,
+        normalize=cfg.normalize,
+        guided=bool(cfg.guides),
+        reference=cfg.reference,
+        rims=cfg.rims,
     )
+
+
+def _rims(cfg: Config, topology: str, splines: Sequence[Spline]) -> tuple[tuple[int, int], ...]:
+    """Return the rims of surfaces in three dimensions; a seam that stays in place is not looked at."""
+    stays = closes(topology) and _boundary(cfg.boundary, topology) != "periodic"
+    rims = () if splines[0].dimension != 3 or stays else rims_of(topology)
+    if cfg.rims == "free" and not rims:
+        raise ConfigError(
+            f"optimize.rims: free needs surfaces with rims, and a seam that may move; these are {topology} with boundary: {cfg.boundary}",
+            "use rims: kept",
+        )
+    return rims
 
 
 def _boundary(choice: Boundary | Literal["auto"], topology: str) -> Boundary:
@@ -424,6 +502,7 @@ def _correspondence(
         eigenvalues_initial=optimum.eigenvalues_initial,
         eigenvalues=optimum.eigenvalues,
         coefficients=optimum.coefficients,
+        window=optimum.window,
     )
 
 
@@ -452,6 +531,7 @@ def _certificate(optimum: Optimum, ids: tuple[str, ...], splines: list[Spline]) 
     out: dict[str, Any] = {
         "quantity": "lower bound of det dD/du over the whole parameter domain",
         "method": method,
+        **({"open_rims": _OPEN_RIMS} if optimum.window is not None else {}),
         "all_proved": all(c.verdict == "proved" for c in optimum.certificates),
         "shapes": {
             i: {

@@ -143,7 +143,7 @@ def engine_options(model: ShapeModel, content: Mapping[str, Any]) -> EngineOptio
         reference=given.get("reference", ""),
     )
     boundary = boundary_of(given.get("boundary", "auto"), model.topology)
-    return EngineOptions(**kept, boundary=boundary, lambda_cut=model.lambda_cut, start=start)
+    return EngineOptions(**kept, boundary=boundary, lambda_cut=model.lambda_cut, start=start, window=model.window)
 
 
 def project_scans(

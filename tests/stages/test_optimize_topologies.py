@@ -11,6 +11,7 @@ from ssmpipe.core.mesh.operators import volume
 from ssmpipe.core.mesh.topology import boundary_loops, euler_characteristic
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.stages import evaluate, model, optimize
+from tests.support.cut_shapes import cut_cohort
 from tests.support.surfaces import bump, wrapped
 
 N = 15
@@ -116,3 +117,61 @@ def test_what_cannot_be_compared_is_refused():
     disks = {"a": bump((30, 30), 10, n=8), "b": bump((30, 30), 12, n=8)}
     with pytest.raises(ConfigError, match="periodic needs shapes that close, these are disk"):
         go(optimize, {"boundary": "periodic"}, surface=disks, transform=transform, landmarks=None)
+
+
+def cut_tubes(**options):
+    surfaces = {f"t{i}": s for i, s in enumerate(cut_cohort("tube"))}
+    chosen = {"n_coefficients": (6, 6), "landmarks": (N, N), "pose": "keep", "normalize": "affine"}
+    transform = {i: np.eye(4) for i in surfaces}
+    return go(optimize, chosen | options, surface=surfaces, transform=transform, landmarks=None)
+
+
+def test_free_rims_are_written_with_what_they_cover(tmp_path):
+    from ssmpipe.io import codecs
+
+    made, ctx = cut_tubes(rims="free")
+    c = made["correspondence"]
+    assert c.reference == -1
+    assert made["certificate"]["all_proved"]
+    assert "rims are free" in made["certificate"]["open_rims"]
+    assert ctx.metrics["window"] == [list(c.window.low), list(c.window.high)]
+    assert not ctx.warnings
+    v = c.parameters.reshape(len(c.ids), N, N, 2)[..., 1]
+    assert v.min() > 0
+    assert v.max() < 1
+    assert np.ptp(v[:, :, 0].mean(axis=1)) > 0.05  # each begins elsewhere
+    codecs._save_correspondence("correspondence", c, tmp_path)
+    assert codecs._load_correspondence([tmp_path / "correspondence.npz"]).window == c.window
+    built, _ = go(model, correspondence=c, info={i: ShapeInfo(i) for i in c.ids})
+    assert built["model"].window == c.window
+
+
+def test_kept_rims_that_lie_apart_get_a_hint(monkeypatch):
+    _, ctx = cut_tubes()
+    assert any("use optimize.rims: free" in w and "t1" in w for w in ctx.warnings)
+    monkeypatch.setattr(optimize, "APART", 2 * ctx.metrics["mean_rim_shift"])
+    assert not cut_tubes()[1].warnings
+
+
+def test_a_shape_that_is_too_short_is_named():
+    _, ctx = cut_tubes(rims="free", max_crop=0.02, max_iterations=3, pose_rounds=0)
+    assert any("t1" in w and "end before the part" in w and "max_crop" in w for w in ctx.warnings)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"guides": ("a",)}, "guides are for rims: kept"),
+        ({"start": "identity"}, "use start: auto"),
+        ({"coarse_to_fine": True}, "coarse_to_fine"),
+        ({"n_coefficients": (6,), "landmarks": (9,)}, "curves have none"),
+    ],
+)
+def test_options_that_free_rims_do_not_take(options, says):
+    with pytest.raises(ValueError, match=says):
+        optimize.Config(rims="free", **options)
+
+
+def test_free_rims_need_rims():
+    with pytest.raises(ConfigError, match="these are closed"):
+        optimized("closed", rims="free", normalize="affine")

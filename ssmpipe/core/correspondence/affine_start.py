@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ssmpipe.core.align.procrustes import rotation_between
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.correspondence.objective import GroupObjective
 from ssmpipe.core.correspondence.prior import bending_matrix
@@ -13,6 +16,7 @@ from ssmpipe.core.spline.evaluate import SplineStack
 
 _SMOOTHNESS = 2.5e-6  # bending energy against squared distance in the square, mean over the nodes
 LEAST_JACOBIAN = 0.05
+_SIMILAR_ROUNDS = 12
 _SAME_SIDE = 0.5  # cosine between normals of places that belong together
 
 
@@ -79,48 +83,17 @@ def affine_start_onto(
     skip : int
         Shape that keeps the identity.
     """
-    u = space.evaluate(space.identity()[None])[0]
     ahead = np.zeros(stack.n_shapes) if turns is None else turns
     coefficients = turned_identity(space, ahead)
+    dense = DensePoints(stack, space, n_dense)
     partners = np.array(stack.evaluate(space.evaluate(coefficients)).points)
-    element = np.linalg.norm(area, axis=1)
-    normal = area / np.maximum(element, 1e-12 * element.max())[:, None]
-    grid = [np.linspace(0.0, 1.0, n_dense, endpoint=not p) for p in space.periodic]
-    dense_u = np.stack(np.meshgrid(*grid, indexing="ij"), axis=-1).reshape(-1, 2)
-    dense = stack.evaluate(np.repeat(dense_u[None], stack.n_shapes, axis=0))
-    points, first = np.array(dense.points), [np.array(f) for f in dense.first]
-    fit = _Fit(space, u)
+    fit = MapFit(space)
+    free = bool(space.window.open_edges)  # rims tell nothing of where places are then
     for i in range(stack.n_shapes):
-        if i == skip:
-            continue
-        tree = cKDTree(points[i])
-        tangents = np.stack([first[0][i], first[1][i]], axis=-1)
-        normals = np.cross(first[0][i], first[1][i])
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12 * element.max())
-        partner, weight, target = partners[i], element, u
-        for _ in range(n_rounds):
-            root = np.sqrt(weight)[:, None]
-            rows = np.column_stack([fixed, np.ones(len(fixed))])
-            affine = np.linalg.lstsq(rows * root, partner * root, rcond=None)[0]
-            moved = rows @ affine
-            near = tree.query(moved)[1]
-            step = _tangential(tangents[near], moved - points[i][near], 1.0 / n_dense)
-            target = dense_u[near] + step
-            partner = points[i][near] + np.einsum("nab,nb->na", tangents[near], step)
-            turned = normal @ np.linalg.pinv(affine[:3]).T
-            cosine = np.einsum("na,na->n", turned, normals[near])
-            kept = cosine > _SAME_SIDE * np.maximum(np.linalg.norm(turned, axis=1), 1e-12)
-            for axis, periodic in enumerate(space.periodic):
-                if not periodic:
-                    target[:, axis] = np.clip(target[:, axis], 0.0, 1.0)
-                    # beyond the edge of this shape
-                    inside = (u[:, axis] > 0) & (u[:, axis] < 1)
-                    kept &= ~(inside & ((target[:, axis] <= 0) | (target[:, axis] >= 1)))
-            if kept.mean() < 0.5:
-                break
-            weight = element * kept
-        else:
-            coefficients[i] = fit.maps(target, weight, float(ahead[i]))
+        if i != skip:
+            found = dense.registered(i, fixed, area, None if free else partners[i], n_rounds)
+            if found is not None:
+                coefficients[i] = fit.maps(*found, float(ahead[i]))
     return coefficients
 
 
@@ -145,7 +118,7 @@ def without_folds(objective: GroupObjective, coefficients: Floats, turned: Float
     share = np.ones(len(identity))
     for _ in range(25):
         x = identity + share[:, None] * towards
-        folded = objective.jacobians(x.ravel()).min(axis=1) < LEAST_JACOBIAN
+        folded = objective.walls(x.ravel()).min(axis=1) < LEAST_JACOBIAN
         if not folded.any():
             return objective.coefficients(x.ravel())
         share[folded] *= 0.85
@@ -153,28 +126,128 @@ def without_folds(objective: GroupObjective, coefficients: Floats, turned: Float
     return objective.coefficients((identity + share[:, None] * towards).ravel())
 
 
-def _tangential(tangents: Floats, offset: Floats, limit: float) -> Floats:
+def _tangential(tangents: Floats, offset: Floats) -> Floats:
     """Return the step in the parameters, (n, 2), that comes nearest to an offset (n, 3)."""
     metric = np.einsum("nac,nad->ncd", tangents, tangents)
     size = np.trace(metric, axis1=1, axis2=2)
     metric = metric + (1e-9 * size + 1e-300)[:, None, None] * np.eye(2)
-    step = np.linalg.solve(metric, np.einsum("nac,na->nc", tangents, offset)[..., None])[..., 0]
-    return np.clip(step, -limit, limit)
+    return np.asarray(np.linalg.solve(metric, np.einsum("nac,na->nc", tangents, offset)[..., None])[..., 0])
 
 
-class _Fit:
-    """Least squares fit of a map to scattered targets at the nodes."""
+def _similarity(source: Floats, target: Floats, weights: Floats) -> Floats:
+    """Return the motion with a change of size, (4, 3), that brings (n, 3) points nearest to others: rows of ``[x, 1] @ motion``."""
+    share = weights / weights.sum()
+    a, b = source - share @ source, target - share @ target
+    rotation = rotation_between(a, b, weights)
+    turned = a @ rotation.T
+    scale = float((share[:, None] * turned * b).sum() / (share[:, None] * a * a).sum())
+    linear = scale * rotation.T
+    return np.vstack([linear, share @ target - share @ source @ linear])
 
-    def __init__(self, space: Reparameterization, u: Floats) -> None:
-        self.space, self.u = space, u
-        self.rows = space.rows_at(u)
+
+class DensePoints:
+    """Points of every shape on a dense grid, among which closest points are looked up."""
+
+    def __init__(self, stack: SplineStack, space: Reparameterization, n: int) -> None:
+        grid = [np.linspace(0.0, 1.0, n, endpoint=not p) for p in space.periodic]
+        self.u = np.stack(np.meshgrid(*grid, indexing="ij"), axis=-1).reshape(-1, 2)
+        jet = stack.evaluate(np.repeat(self.u[None], stack.n_shapes, axis=0))
+        self.points, self.first = np.array(jet.points), [np.array(f) for f in jet.first]
+        self.spacing, self.space = 1.0 / n, space
+        self.own = space.evaluate(space.identity()[None])[0]
+
+    def registered(
+        self,
+        i: int,
+        fixed: Floats,
+        area: Floats,
+        partner: Floats | None,
+        n_rounds: int,
+        beyond: Sequence[tuple[int, int]] = (),
+    ) -> tuple[Floats, Floats] | None:
+        """Return parameters (n_P, 2) of the closest points on shape ``i``, and their weights; None where it does not fit.
+
+        Parameters
+        ----------
+        i : int
+        fixed, area : (n_P, 3)
+            Places to register, and ``S_u x S_v`` there.
+        partner : (n_P, 3) or None
+            First partners on the shape. None: those in the pose that the shape has, and a similarity before the affine map, which
+            would take a longer shaft for a stretched one.
+        n_rounds : int
+            With an affine map.
+        beyond : sequence of (direction, end)
+            Past these edges parameters go on along the tangent; other edges stop them.
+        """
+        element = np.linalg.norm(area, axis=1)
+        tiny = 1e-12 * element.max()
+        normal = area / np.maximum(element, tiny)[:, None]
+        points, tree = self.points[i], cKDTree(self.points[i])
+        tangents = np.stack([self.first[0][i], self.first[1][i]], axis=-1)
+        normals = np.cross(self.first[0][i], self.first[1][i])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), tiny)
+        weight, target = element, self.own
+        rows = np.column_stack([fixed, np.ones(len(fixed))])
+        n_similar = _SIMILAR_ROUNDS if partner is None else 0
+        for k in range(n_similar + n_rounds):
+            if partner is None:
+                affine = np.eye(4, 3)  # the pose it has
+            elif k < n_similar:
+                affine = _similarity(fixed, partner, weight)
+            else:
+                root = np.sqrt(weight)[:, None]
+                affine = np.linalg.lstsq(rows * root, partner * root, rcond=None)[0]
+            moved = rows @ affine
+            near = tree.query(moved)[1]
+            full = _tangential(tangents[near], moved - points[near])
+            step = np.clip(full, -self.spacing, self.spacing)
+            target = self.u[near] + step
+            partner = points[near] + np.einsum("nab,nb->na", tangents[near], step)
+            turned = normal @ np.linalg.pinv(affine[:3]).T
+            cosine = np.einsum("na,na->n", turned, normals[near])
+            kept = cosine > _SAME_SIDE * np.maximum(np.linalg.norm(turned, axis=1), 1e-12)
+            passed = target.copy()
+            usable = kept.copy()
+            for axis, periodic in enumerate(self.space.periodic):
+                if periodic:
+                    continue
+                target[:, axis] = np.clip(target[:, axis], 0.0, 1.0)
+                # beyond the edge of this shape; a place on the same edge may stay there, unless it is open
+                inside = (self.own[:, axis] > 0) & (self.own[:, axis] < 1)
+                out = inside & ((target[:, axis] <= 0) | (target[:, axis] >= 1))
+                past = np.zeros(len(out), dtype=bool)
+                for end in (end for a, end in beyond if a == axis):
+                    at_edge = self.u[near, axis] == (0.0 if end == 0 else 1.0)
+                    past |= at_edge & (full[:, axis] < 0 if end == 0 else full[:, axis] > 0)
+                kept &= ~(out | past)
+                usable &= ~out | past
+                passed[:, axis] = np.where(past, self.u[near, axis] + full[:, axis], target[:, axis])
+            if kept.mean() < 0.5:
+                return None
+            weight = element * kept
+        return (passed, element * usable) if len(beyond) else (target, weight)
+
+
+class MapFit:
+    """Least squares fit of a map to scattered targets at the nodes; ``open_edges`` may move."""
+
+    def __init__(self, space: Reparameterization, open_edges: Sequence[tuple[int, int]] = ()) -> None:
+        self.space = space
+        nodes = np.stack(np.meshgrid(*space.nodes, indexing="ij"), axis=-1).reshape(-1, 2)
+        self.own = space.window.image(nodes)
+        self.rows = space.rows_at(nodes)
         self.bending = bending_matrix(space)
-        self.free = space.free.reshape(-1, 2)
+        free = space.free.copy()
+        for axis, end in open_edges:
+            free[(slice(None),) * axis + (end,)] = True
+        self.free = free.reshape(-1, 2)
 
     def maps(self, target: Floats, weight: Floats, turn: float) -> Floats:
+        """Return the (*n_coefficients, 2) map that is nearest to (n_P, 2) targets and smooth, from the turned identity."""
         identity = turned_identity(self.space, np.array([turn]))[0]
         coefficients = identity.reshape(-1, 2).copy()
-        away = target - self.u
+        away = target - self.own
         away[:, 0] -= turn
         share = weight / weight.sum()
         for axis, periodic in enumerate(self.space.periodic):

@@ -25,6 +25,9 @@ class Barrier:
     floor : float
     sharpness : float
         ``K``. ``g`` is above the true maximum by at most ``log(n) / K``.
+    centred : bool
+        With ``each``: plus ``mu / n sum_z (J_z - 1) / (1 - floor)``, so that the barrier is least where every ``J_z`` is 1. Where edges
+        stay, the mean of ``J`` is 1 and the term is nothing.
 
     Examples
     --------
@@ -37,6 +40,7 @@ class Barrier:
     aggregate: Aggregate = "each"
     floor: float = 0.0
     sharpness: float = 15.0
+    centred: bool = False
 
     def constraint(self, jacobians: Floats) -> Floats:
         """Return the constraint per shape, negative when feasible: the largest ``floor - J_z``, or ``g`` [2.22]."""
@@ -49,7 +53,10 @@ class Barrier:
         """Return the barrier for ``mu = 1``; infinite outside the feasible set."""
         if self.aggregate == "each":
             slack = jacobians - self.floor
-            return float(-np.log(slack).mean(axis=1).sum()) if slack.min() > 0 else np.inf
+            if slack.min() <= 0:
+                return np.inf
+            growth = float((jacobians - 1.0).mean(axis=1).sum()) / (1.0 - self.floor) if self.centred else 0.0
+            return float(-np.log(slack).mean(axis=1).sum()) + growth
         margin = -self.constraint(jacobians)
         return float(-np.log(margin).sum()) if margin.min() > 0 else np.inf
 
@@ -81,10 +88,12 @@ class Barrier:
         fall = float((1.0 - aim / multipliers).max())
         return np.asarray(multipliers + min(1.0, 0.995 / max(fall, 0.995)) * (aim - multipliers))
 
-    def slope(self, jacobians: Floats, multipliers: Floats | None = None) -> Floats:
-        """Return the derivative in every coefficient, (n_S, n) [2.23], for ``mu = 1`` or with given multipliers."""
+    def slope(self, jacobians: Floats, multipliers: Floats | None = None, weight: float = 1.0) -> Floats:
+        """Return the derivative in every coefficient, (n_S, n) [2.23], for ``mu = 1`` or with given multipliers of a ``weight``."""
         dual = self.multipliers(jacobians) if multipliers is None else multipliers
-        return -dual if self.aggregate == "each" else -self._shares(jacobians) * dual
+        if self.aggregate == "ks":
+            return -self._shares(jacobians) * dual
+        return weight / (jacobians.shape[1] * (1.0 - self.floor)) - dual if self.centred else -dual
 
     def slope_along(self, jacobians: Floats, change: Floats, multipliers: Floats) -> Floats:
         """Return the change of :meth:`slope` along ``change`` when multipliers answer, (n_S, n); exact at those of the barrier."""

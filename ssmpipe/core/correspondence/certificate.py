@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from scipy.special import comb
 
 from ssmpipe.core.arrays import Floats
+from ssmpipe.core.correspondence.direction import Direction
 from ssmpipe.core.correspondence.jacobian import Jacobian
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
+from ssmpipe.core.correspondence.window import Bounds
 
+_REFINEMENTS = 4
 Verdict = Literal["proved", "refuted", "undecided"]
 
 
@@ -54,7 +57,8 @@ def certify(coefficients: Floats, reparameterization: Reparameterization, *, max
     Notes
     -----
     A polynomial lies in the convex hull of its Bernstein coefficients, and the corner coefficients are values
-    (Farouki 2012, sec. 4). Rounding is covered by subtracting an error bound of ``1e-13`` times the largest coefficient
+    (Farouki 2012, sec. 4). Where edges are open, :func:`injective_edges` must hold as well, else the verdict is
+    ``undecided``. Rounding is covered by subtracting an error bound of ``1e-13`` times the largest coefficient
     product per level, far above the accumulated unit round-off of the few hundred operations behind a coefficient.
 
     Examples
@@ -63,6 +67,79 @@ def certify(coefficients: Floats, reparameterization: Reparameterization, *, max
     >>> certify(D.identity(), D).verdict
     'proved'
     """
+    found = _bound(coefficients, reparameterization, max_subdivisions)
+    if found.verdict == "proved" and not injective_edges(coefficients, reparameterization):
+        return replace(found, verdict="undecided")
+    return found
+
+
+def injective_edges(coefficients: Floats, reparameterization: Reparameterization) -> bool:
+    """Prove that a map with open edges and a positive Jacobian is one-to-one and stays in the domain; True without open edges.
+
+    A local diffeomorphism that is free to move its edges might still overlap itself. On a rectangle it does not where the diagonal of
+    its derivative is positive as well (Gale and Nikaido 1965, theorem 4). On an annulus it does not where its two rims are graphs over
+    the angle that do not meet: every place has as many origins as those next to a rim, one.
+
+    Parameters
+    ----------
+    coefficients : (*n_coefficients, d_par) float64
+    reparameterization : Reparameterization
+
+    Returns
+    -------
+    bool
+        False where it could not be proved, by coefficients of the derivatives on up to eight times as many spans.
+
+    Examples
+    --------
+    >>> from ssmpipe.core.correspondence.window import Window
+    >>> D = Reparameterization((6, 6), (3, 3), window=Window((0.1, 0.1), (0.9, 0.9)))
+    >>> injective_edges(D.identity(), D)
+    True
+    >>> turned = 0.5 + (D.identity() - 0.5) @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    >>> injective_edges(turned, D)
+    False
+    """
+    window = reparameterization.window
+    if not window.open_edges:
+        return True
+    if Bounds(reparameterization.n_coefficients, window).slack(coefficients[None]).min() <= 0:
+        return False
+    if not reparameterization.periodic[0]:
+        return all(
+            _increasing(coefficients, reparameterization, axis) for axis in range(reparameterization.n_directions)
+        )
+    bottom, top = coefficients[:, 0, 1].max(), coefficients[:, -1, 1].min()
+    return bool(bottom < top) and all(
+        _increasing(np.take(coefficients, [end], axis=1), reparameterization, 0) for _, end in window.open_edges
+    )
+
+
+def _increasing(coefficients: Floats, reparameterization: Reparameterization, axis: int) -> bool:
+    """Prove that component ``axis`` increases in direction ``axis``; other directions of the coefficients may be a part."""
+    direction = reparameterization.directions[axis]
+    extent = float(reparameterization.window.extent[axis])
+    away = np.moveaxis(coefficients[..., axis], axis, 0)
+    shape = (-1,) + (1,) * (away.ndim - 1)
+    away = away - (reparameterization.window.low[axis] + extent * direction.identity).reshape(shape)
+    for _ in range(_REFINEMENTS):
+        own = (extent * direction.identity).reshape(shape)
+        values = away + own
+        if direction.periodic:
+            values = np.concatenate([values, values[:1] + extent])
+        if np.diff(values, axis=0).min() > 1e-13:
+            return True
+        spans = 2 * direction.n_spans
+        finer = Direction(
+            spans if direction.periodic else spans + direction.degree, direction.degree, direction.periodic
+        )
+        away = np.tensordot(direction.refinement(finer), away, axes=(1, 0))
+        direction = finer
+    return False
+
+
+def _bound(coefficients: Floats, reparameterization: Reparameterization, max_subdivisions: int) -> Certificate:
+    """Bound the determinant."""
     jacobian = Jacobian(reparameterization)
     patches = jacobian.patches(jacobian.coefficients(coefficients[None]))[0]
     slope = max(jacobian.n_spans) * reparameterization.degree

@@ -32,7 +32,13 @@ def boundary_of(choice: Boundary | Literal["auto"], topology: str) -> Boundary:
 
 
 def start_of(
-    choice: Literal["auto", "identity", "affine"], *, surfaces: bool, normalize: str, guided: bool, reference: int | str
+    choice: Literal["auto", "identity", "affine"],
+    *,
+    surfaces: bool,
+    normalize: str,
+    guided: bool,
+    reference: int | str,
+    rims: str = "kept",
 ) -> Literal["identity", "affine"]:
     """Return where the maps begin; a cohort without a reference has nothing to register to.
 
@@ -43,6 +49,23 @@ def start_of(
     >>> start_of("auto", surfaces=True, normalize="affine", guided=False, reference="none")
     'identity'
     """
+    if rims == "free":  # they are found by a registration
+        return "affine"
     if choice != "auto":
         return choice
     return "affine" if surfaces and normalize == "affine" and not guided and reference != "none" else "identity"
+
+
+def rims_of(topology: str) -> tuple[tuple[int, int], ...]:
+    """Return the edges of the square that are rims, neither seam nor pole: direction and end, 0 or -1.
+
+    Examples
+    --------
+    >>> rims_of("cone"), rims_of("tube"), rims_of("curve-open")
+    (((1, 0),), ((1, 0), (1, -1)), ())
+    """
+    return {
+        "disk": ((0, 0), (0, -1), (1, 0), (1, -1)),
+        "tube": ((1, 0), (1, -1)),
+        "cone": ((1, 0),),
+    }.get(topology, ())

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ssmpipe.core.arrays import Floats, Ints
+from ssmpipe.core.correspondence.window import Window
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +40,8 @@ class Correspondence:
         Of the covariance inside the objective, decreasing.
     coefficients : (n_S, n_b1, n_b2, d_par)
         B-spline coefficients of ``D_i``.
+    window : Window, optional
+        Part of the parameter domain that the landmarks cover, where rims were free.
     """
 
     ids: tuple[str, ...]
@@ -58,3 +61,4 @@ class Correspondence:
     eigenvalues_initial: Floats
     eigenvalues: Floats
     coefficients: Floats
+    window: Window | None = None

@@ -101,6 +101,7 @@ class Jacobian:
         self.shape = tuple(e.shape[0] for e in extract)
         self.n = int(np.prod(self.shape))
         self._identity = reparameterization.identity()
+        self._extent = reparameterization.window.extent
         self._free = reparameterization.free
         self._extract = tuple(extract)
         self._back = tuple(e.T for e in extract)
@@ -125,7 +126,7 @@ class Jacobian:
         """Return the Jacobians of (n_S, *n_b, d_par) coefficients of D, to be differentiated there."""
         gradients = self._gradients(coefficients - self._identity)
         for axis, g in enumerate(gradients):
-            g[:, axis] += 1.0
+            g[:, axis] += self._extent[axis]
         return LocalJacobian(self, gradients)
 
     def _gradients(self, displacement: Floats) -> list[Floats]:

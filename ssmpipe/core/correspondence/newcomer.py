@@ -15,7 +15,8 @@ from ssmpipe.core.correspondence.barrier import Barrier
 from ssmpipe.core.correspondence.certificate import Certificate, certify
 from ssmpipe.core.correspondence.covariance import Spectrum, centred_spectrum
 from ssmpipe.core.correspondence.gauss_newton import gauss_newton_inverse
-from ssmpipe.core.correspondence.jacobian import Jacobian, JacobianForm, largest_feasible_step
+from ssmpipe.core.correspondence.inequalities import Inequalities, centred_where_open
+from ssmpipe.core.correspondence.jacobian import JacobianForm, largest_feasible_step
 from ssmpipe.core.correspondence.measure import grid_size_weights, grid_tangents
 from ssmpipe.core.correspondence.optimize import EngineOptions
 from ssmpipe.core.correspondence.prior import bending_matrix
@@ -99,8 +100,9 @@ class NewcomerObjective:
     ) -> None:
         self.stack = SplineStack([spline], space.periodic)
         self.space, self.fixed, self.weights, self.spectral = space, fixed, weights, spectral
-        self.prior, self.barrier, self.constraint = prior, barrier, constraint or Barrier()
-        self.jacobian = Jacobian(space, form)
+        self.prior, self.barrier = prior, barrier
+        self.constraint = centred_where_open(constraint or Barrier(), space)
+        self.inequalities = Inequalities(space, form)
         self._free = space.free
         self._identity = space.identity()
         self._bending = bending_matrix(space)
@@ -139,7 +141,7 @@ class NewcomerObjective:
     def value_and_gradient(self, x: Floats) -> tuple[float, Floats]:
         """Return ``f`` and its gradient; infinite outside the feasible set."""
         coefficients = self.coefficients(x)
-        local = self.jacobian.at(coefficients[None])
+        local = self.inequalities.at(coefficients[None])
         penalty = self.constraint.value(local.values) if self.barrier > 0 else 0.0
         if not np.isfinite(penalty):
             return np.inf, np.zeros_like(x)
@@ -163,7 +165,7 @@ class NewcomerObjective:
 
     def largest_step(self, x: Floats, direction: Floats) -> float:
         """Return how far ``direction`` can be followed before a coefficient of the Jacobian meets the floor; exact."""
-        local = self.jacobian.at(self.coefficients(x)[None])
+        local = self.inequalities.at(self.coefficients(x)[None])
         first, second = local.along(self._direction(direction)[None])
         return largest_feasible_step(local.values - self.constraint.floor, first, second)
 
@@ -179,9 +181,9 @@ class NewcomerObjective:
         bending = np.kron(self._bending, np.eye(n_d))[free[:, None], free]
         own = np.asarray(self.prior * bending[None], dtype=np.float64)
         if self.barrier > 0:
-            jacobians = self.jacobian.coefficients(coefficients)
+            jacobians = self.inequalities.coefficients(coefficients)
             multipliers = self.barrier * self.constraint.multipliers(jacobians)
-            own = own + self.jacobian.normal_blocks(coefficients, self.constraint.curvature(jacobians, multipliers))
+            own = own + self.inequalities.normal_blocks(coefficients, self.constraint.curvature(jacobians, multipliers))
         coupling = spec.slope(self.spectral)[-1:, -1:] * (2.0 / (len(centred) - 1))
         return gauss_newton_inverse(self.space, coupling, self.weights, jet.first, own)
 
@@ -222,7 +224,9 @@ class FixedCohort:
         periodic = tuple(closes and axis == 0 for axis in range(len(grid)))
         self.periodic = periodic
         nodes = tuple(np.linspace(0.0, 1.0, n, endpoint=not p) for n, p in zip(grid, periodic, strict=True))
-        self.space = Reparameterization(options.n_coefficients, nodes, degree=options.degree, boundary=options.boundary)
+        self.space = Reparameterization(
+            options.n_coefficients, nodes, degree=options.degree, boundary=options.boundary, window=options.window
+        )
         mean = points.mean(axis=0)
         self.pose_weights = grid_size_weights(mean, grid, periodic)
         if options.covariance == "discrete":
@@ -402,11 +406,11 @@ def _affine_start(stack: SplineStack, cohort: FixedCohort, turned: Floats, turn:
     tangents = grid_tangents(mean, space.grid, cohort.periodic)
     area = np.cross(tangents[0], tangents[1])
     found = affine_start_onto(stack, space, mean, area, turns=np.array([turn]))
-    jacobian = Jacobian(space, cohort.options.form)
+    inequalities = Inequalities(space, cohort.options.form)
     share = 1.0
     while share > 0.01:
         coefficients = turned + share * (found[0] - turned)
-        if jacobian.coefficients(coefficients[None]).min() > LEAST_JACOBIAN:
+        if inequalities.coefficients(coefficients[None]).min() > LEAST_JACOBIAN:
             return coefficients
         share *= 0.85
     return turned

@@ -24,8 +24,9 @@ from ssmpipe.core.correspondence.covariance import (
 from ssmpipe.core.correspondence.exact_rule import ExactRule
 from ssmpipe.core.correspondence.gauss_newton import gauss_newton_inverse
 from ssmpipe.core.correspondence.guides import Guides
+from ssmpipe.core.correspondence.inequalities import Inequalities, LocalInequalities, centred_where_open
 from ssmpipe.core.correspondence.interpolation import Interpolation
-from ssmpipe.core.correspondence.jacobian import Jacobian, JacobianForm, LocalJacobian, largest_feasible_step
+from ssmpipe.core.correspondence.jacobian import JacobianForm, largest_feasible_step
 from ssmpipe.core.correspondence.prior import bending_matrix
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
 from ssmpipe.core.correspondence.rows import RowSums
@@ -129,7 +130,7 @@ class GroupObjective:
         self.covariance = covariance
         self.prior = prior
         self.barrier = barrier
-        self.constraint = constraint or Barrier()
+        self.constraint = centred_where_open(constraint or Barrier(), reparameterization)
         self.guides = guides
         self.reference = reference
         self.other_gradient = other_gradient
@@ -148,7 +149,7 @@ class GroupObjective:
                 "aligning inside each evaluation is implemented for covariance discrete and I", "use pose: refined"
             )
         self.moving = np.array([i for i in range(stack.n_shapes) if i != reference])
-        self.jacobian = Jacobian(reparameterization, form)
+        self.inequalities = Inequalities(reparameterization, form)
         n_p = int(np.prod(reparameterization.grid))
         self._base = np.full(n_p, 1.0 / n_p) if base_weights is None else base_weights
         self._bending = bending_matrix(reparameterization)
@@ -160,7 +161,7 @@ class GroupObjective:
         if interpolate and guides is not None:
             self._interpolation = Interpolation(guides, self._free, self.moving)
         self._multipliers: Floats | None = None
-        self._local: tuple[bytes, LocalJacobian] | None = None
+        self._local: tuple[bytes, LocalInequalities] | None = None
         self._along: tuple[bytes, tuple[Floats, Floats]] | None = None
         self._curved: Jet | None = None
         self._parameters = np.empty(0)
@@ -275,19 +276,23 @@ class GroupObjective:
 
     def jacobians(self, x: Floats) -> Floats:
         """Return the (n, m) coefficients of the Jacobians of the moving shapes."""
-        return self._jacobian_at(x).values
+        return self._walls_at(x).jacobians
 
-    def _jacobian_at(self, x: Floats) -> LocalJacobian:
+    def walls(self, x: Floats) -> Floats:
+        """Return all that must stay above the floor, (n, m): the Jacobians, then the slacks of open edges; see :class:`Inequalities`."""
+        return self._walls_at(x).values
+
+    def _walls_at(self, x: Floats) -> LocalInequalities:
         key = x.tobytes()
         if self._local is None or self._local[0] != key:
-            self._local = key, self.jacobian.at(self._moved(x))
+            self._local = key, self.inequalities.at(self._moved(x))
         return self._local[1]
 
-    def _jacobian_along(self, x: Floats, direction: Floats) -> tuple[Floats, Floats]:
+    def _walls_along(self, x: Floats, direction: Floats) -> tuple[Floats, Floats]:
         """Return the first and second change of the Jacobians; the last answer is remembered."""
         key = x.tobytes() + direction.tobytes()
         if self._along is None or self._along[0] != key:
-            self._along = key, self._jacobian_at(x).along(self._direction(direction))
+            self._along = key, self._walls_at(x).along(self._direction(direction))
         return self._along[1]
 
     def spectral_gradient(self, x: Floats, beside: Callable[[slice], None] | None = None) -> tuple[float, Floats]:
@@ -361,23 +366,23 @@ class GroupObjective:
 
     def value_and_gradient(self, x: Floats) -> tuple[float, Floats]:
         """Return ``f`` and its gradient; infinite outside the feasible set."""
-        penalty = self.constraint.value(self.jacobians(x)) if self.barrier > 0 else 0.0
+        penalty = self.constraint.value(self.walls(x)) if self.barrier > 0 else 0.0
         if not np.isfinite(penalty):
             return np.inf, np.zeros_like(x)
         moving = self._moved(x)
         extra = np.zeros_like(moving)
-        slope = self.constraint.slope(self.jacobians(x)) if self.barrier > 0 else extra
+        slope = self.constraint.slope(self.walls(x)) if self.barrier > 0 else extra
 
-        def walls(block: slice) -> None:
+        def penalties(block: slice) -> None:
             some = slice(*np.searchsorted(self.moving, (block.start, block.stop)))
             if self.barrier > 0 and some.start < some.stop:
-                extra[some] = self.barrier * self._jacobian_at(x).part(some).pull_back(slope[some])
+                extra[some] = self.barrier * self._walls_at(x).part(some).pull_back(slope[some])
 
         if self.other_gradient is None:
-            value, gradient = self.spectral_gradient(x, walls)
+            value, gradient = self.spectral_gradient(x, penalties)
         else:
             value, gradient = self.spectral_value(x), self.other_gradient(self, x)
-            walls(slice(0, self.stack.n_shapes))
+            penalties(slice(0, self.stack.n_shapes))
         if self.barrier > 0:
             value += self.barrier * penalty
         if self.prior > 0:
@@ -393,7 +398,7 @@ class GroupObjective:
 
     def value(self, x: Floats) -> float:
         """Return ``f`` alone; a gradient at the same ``x`` then costs only what the value did not."""
-        value = self.barrier * self.constraint.value(self.jacobians(x)) if self.barrier > 0 else 0.0
+        value = self.barrier * self.constraint.value(self.walls(x)) if self.barrier > 0 else 0.0
         if not np.isfinite(value):
             return np.inf
         value = self.spectral_value(x) + value
@@ -418,8 +423,8 @@ class GroupObjective:
 
     def largest_step(self, x: Floats, direction: Floats) -> float:
         """Return how far ``direction`` can be followed before a coefficient of a Jacobian meets the floor; exact."""
-        first, second = self._jacobian_along(x, direction)
-        return largest_feasible_step(self.jacobians(x) - self.constraint.floor, first, second)
+        first, second = self._walls_along(x, direction)
+        return largest_feasible_step(self.walls(x) - self.constraint.floor, first, second)
 
     def step_taken(self, x: Floats, direction: Floats) -> None:
         """Let the multipliers of the constraints follow an accepted step along ``direction`` (primal-dual).
@@ -428,7 +433,7 @@ class GroupObjective:
         nearly active, the barrier's own is right in a tiny neighbourhood only, and steps would stop short at the walls.
         """
         if self.barrier > 0:
-            current, first = self.jacobians(x), self._jacobian_along(x, direction)[0]
+            current, first = self.walls(x), self._walls_along(x, direction)[0]
             self._multipliers = self.constraint.followed(current, first, self._multipliers_at(current), self.barrier)
 
     def memory(self) -> Floats | None:
@@ -439,9 +444,9 @@ class GroupObjective:
         """Set the multipliers, to continue where they were returned."""
         self._multipliers = memory
 
-    def _multipliers_at(self, jacobians: Floats) -> Floats:
+    def _multipliers_at(self, walls: Floats) -> Floats:
         """Return the multipliers that followed the steps; before the first step those of the barrier."""
-        return self.barrier * self.constraint.multipliers(jacobians) if self._multipliers is None else self._multipliers
+        return self.barrier * self.constraint.multipliers(walls) if self._multipliers is None else self._multipliers
 
     def preconditioner(self, x: Floats) -> Callable[[Floats], Floats]:
         """Return the inverse of the Gauss-Newton matrix, shapes coupled: see :func:`gauss_newton_inverse`."""
@@ -449,13 +454,13 @@ class GroupObjective:
         moving, threads = self.moving, self.stack.threads
         coefficients = self._moved(x)
         coupling = evaluation.spectrum.slope(self.spectral)[np.ix_(moving, moving)] * (2.0 / (self.stack.n_shapes - 1))
-        jacobians = self.jacobians(x)
-        stiffness = self.constraint.curvature(jacobians, self._multipliers_at(jacobians)) if self.barrier > 0 else None
+        walls = self.walls(x)
+        stiffness = self.constraint.curvature(walls, self._multipliers_at(walls)) if self.barrier > 0 else None
 
         def own(part: slice) -> Floats:
             chunk = coefficients[part]
             if stiffness is not None:
-                block = self.jacobian.normal_blocks(chunk, stiffness[part])
+                block = self.inequalities.normal_blocks(chunk, stiffness[part])
             else:
                 block = np.zeros((len(chunk), *self._bending_of_free.shape))
             if self.prior > 0:
@@ -506,12 +511,12 @@ class GroupObjective:
         differences = self.spectral.slope_differences(spec.eigenvalues)
         pulled = (d_gram[moving] @ centred).reshape(len(moving), d, n_p)
         bends = [(np.swapaxes(s[moving], 1, 2) * root * pulled).sum(axis=1) for s in second]
-        local, jacobians = self._jacobian_at(x), self.jacobians(x)
-        multipliers = self._multipliers_at(jacobians)
-        wall = self.constraint.slope(jacobians, multipliers) if self.barrier > 0 else jacobians
+        local, walls = self._walls_at(x), self.walls(x)
+        multipliers = self._multipliers_at(walls)
+        wall = self.constraint.slope(walls, multipliers, self.barrier) if self.barrier > 0 else walls
 
         def tightened(change: Floats) -> Floats:
-            return self.constraint.slope_along(jacobians, change, multipliers)
+            return self.constraint.slope_along(walls, change, multipliers)
 
         def product(vector: Floats) -> Floats:
             direction = self._direction(vector)

@@ -26,11 +26,13 @@ from ssmpipe.core.correspondence.jacobian import Jacobian, JacobianForm
 from ssmpipe.core.correspondence.journal import Journal
 from ssmpipe.core.correspondence.measure import Quadrature, grid_size_weights, landmark_rule
 from ssmpipe.core.correspondence.objective import Covariance, GroupObjective
+from ssmpipe.core.correspondence.open_rims import Registered, register_reference
 from ssmpipe.core.correspondence.reparameterization import Boundary, Reparameterization
 from ssmpipe.core.correspondence.rows import RowSums, automatic_blocks
 from ssmpipe.core.correspondence.sensitivity import direct_gradient, finite_difference_gradient
 from ssmpipe.core.correspondence.spectral import Objective, spectral_function
 from ssmpipe.core.correspondence.turns import starting_turns
+from ssmpipe.core.correspondence.window import Window
 from ssmpipe.core.engine import Engine
 from ssmpipe.core.errors import FoldoverError, GeometryError, LandmarkError
 from ssmpipe.core.optim.interior import DescentOptions
@@ -42,8 +44,12 @@ from ssmpipe.core.spline.surface import BSplineSurface
 
 Normalization = Literal["none", "size", "affine"]
 Solver = Literal["auto", "newton", "quasi-newton"]
+Rims = Literal["kept", "free"]
 Sensitivity = Literal["adjoint", "direct", "finite-difference"]
 _REFINED = ("refined", "each-evaluation")
+_HINTED = 100
+"""Cohorts up to this size are told how far their rims lie apart where rims are kept."""
+_HINT_NODES = 26
 _EARLY_DECREASE = 1e-4
 """Rounds before the last barrier weight end at this relative decrease; more would not pay."""
 _ELIMINATING = 1e4
@@ -64,6 +70,16 @@ class EngineOptions:
     degree : int
         Of ``D``.
     boundary : {"fixed", "sliding", "periodic"}
+    rims : {"kept", "free"}
+        ``kept``: rims correspond to rims. ``free``: rims are cuts, anywhere; the model covers what all shapes have
+        (:mod:`.open_rims`), all shapes move and the mean of the maps stays where the start put it.
+    open_edges : tuple of (direction, end)
+        The rims: edges of the square that are neither seam nor pole, end 0 or -1. Given for ``kept`` too, the result tells how far
+        rims lie apart.
+    max_crop : float
+        Farthest that ``free`` moves a rim of the reference inward [share of the parameter].
+    window : Window or None
+        What a model with free rims covers, for one more shape; found by the group optimization.
     covariance : {"discrete", "I", "II"}
         Equal weights; integral over the domain; integral over the mean shape, with exact gradient.
     quadrature : {"grid", "midpoint", "gauss", "closed-form"}
@@ -123,6 +139,10 @@ class EngineOptions:
     landmarks: tuple[int, ...] = (51, 51)
     degree: int = 2
     boundary: Boundary = "fixed"
+    rims: Rims = "kept"
+    open_edges: tuple[tuple[int, int], ...] = ()
+    max_crop: float = 0.15
+    window: Window | None = None
     covariance: Covariance = "discrete"
     quadrature: Quadrature | Literal["closed-form"] = "midpoint"
     objective: Objective = "description-length"
@@ -171,6 +191,12 @@ class Optimum:
     certificates : tuple of Certificate
     guide_residuals : (n_S, n_K)
         Distance on the surface between a guide and where it is carried [mm]; NaN where a shape lacks it.
+    window : Window or None
+        What the model covers of the registered reference where rims are free.
+    lacking : tuple of int
+        Shapes that end before the window does.
+    rim_shifts : (n_S,) or empty
+        By how much rims lie elsewhere than those of the reference [share of the parameter]; empty where it was not asked for.
     evaluator : {"numpy", "numba"}
         Which one evaluated the splines; both give the same bits.
     """
@@ -187,6 +213,9 @@ class Optimum:
     reference: int
     certificates: tuple[Certificate, ...]
     guide_residuals: Floats = field(default_factory=lambda: np.empty((0, 0)))
+    window: Window | None = None
+    lacking: tuple[int, ...] = ()
+    rim_shifts: Floats = field(default_factory=lambda: np.empty(0))
     evaluator: str = "numpy"
 
 
@@ -254,11 +283,21 @@ def optimize_correspondence(
     if len(splines) < 2:
         raise GeometryError(f"correspondence needs at least two shapes, got {len(splines)}")
     cohort = _Cohort(splines, opts, guides, engine)
+    rims = cohort.registered_rims()
+    opened: Floats | None = None
+    if rims is not None and opts.rims == "free":
+        window = rims.window(opts.open_edges, opts.max_crop)
+        opened = rims.within(window)
+        opts = replace(opts, window=window, reference="none")
+        cohort = _Cohort(splines, opts, guides, engine)
     recorder = _Recorder(record, Journal(checkpoints))
     reparameterization = cohort.space(opts.n_coefficients)
     levels = _levels(reparameterization) if opts.coarse_to_fine else []
     first = cohort.space(levels[0] if levels else opts.n_coefficients)
-    if opts.start == "affine":
+    if opened is not None:
+        coefficients = without_folds(cohort.objective(first), opened, turned_identity(first, cohort.turns))
+        cohort.refine_pose(coefficients, first)
+    elif opts.start == "affine":
         coefficients = cohort.affine_start(first)
         cohort.refine_pose(coefficients, first)
     else:
@@ -275,8 +314,12 @@ def optimize_correspondence(
         if pose_round < pose_rounds and not cohort.refine_pose(coefficients, reparameterization):
             break
         barriers = opts.barriers[-1:]
+    optimum = cohort.optimum(coefficients, reparameterization)
+    if rims is not None:
+        lacking = rims.lacking(optimum.window) if optimum.window is not None else ()
+        optimum = replace(optimum, lacking=lacking, rim_shifts=rims.rim_shifts(opts.open_edges))
     return Result(
-        cohort.optimum(coefficients, reparameterization),
+        optimum,
         status,
         recorder.n_iterations,
         recorder.n_evaluations,
@@ -304,7 +347,11 @@ class _Cohort:
                 f"the splines have {n_directions}"
             )
         self.output = Reparameterization(
-            opts.n_coefficients, opts.landmarks, degree=opts.degree, boundary=opts.boundary
+            opts.n_coefficients,
+            opts.landmarks,
+            degree=opts.degree,
+            boundary=opts.boundary,
+            window=opts.window,
         )
         self.raw = SplineStack(splines, self.output.periodic)
         at_identity = np.repeat(self.output.evaluate(self.output.identity()[None]), len(splines), axis=0)
@@ -347,7 +394,11 @@ class _Cohort:
     def space(self, n_coefficients: tuple[int, ...]) -> Reparameterization:
         """Return the maps with the nodes of the objective."""
         space = Reparameterization(
-            n_coefficients, self.opts.landmarks, degree=self.opts.degree, boundary=self.opts.boundary
+            n_coefficients,
+            self.opts.landmarks,
+            degree=self.opts.degree,
+            boundary=self.opts.boundary,
+            window=self.opts.window,
         )
         return space.at(landmark_rule(space, self.opts.landmarks, self._quadrature())[0])
 
@@ -456,6 +507,20 @@ class _Cohort:
         if isinstance(spline, BSplineCurve):
             return BSplineCurve(spline.degree, spline.knots, control)
         return BSplineSurface(spline.degree, spline.knots_u, spline.knots_v, control)
+
+    def registered_rims(self) -> Registered | None:
+        """Return the reference registered with rims that may lie anywhere; None where nothing asks for it."""
+        free = self.opts.rims == "free"
+        if free and (not self.opts.open_edges or self.guided):
+            raise GeometryError(
+                "rims: free is for surfaces in three dimensions that have rims, and takes no guides", "use rims: kept"
+            )
+        if not self.opts.open_edges or self.opts.window is not None or (not free and len(self.splines) > _HINTED):
+            return None
+        space, fixed = self.space(self.opts.n_coefficients), max(self.reference, 0)
+        if not free:
+            space = space.at((_HINT_NODES, _HINT_NODES))
+        return register_reference(self.raw, space, fixed, self.opts.open_edges, turns=self.turns - self.turns[fixed])
 
     def affine_start(self, space: Reparameterization) -> Floats:
         """Return maps without folds near the affine closest points of the reference; see :mod:`.affine_start`."""
@@ -585,6 +650,7 @@ class _Cohort:
             reference=self.reference,
             certificates=tuple(certify(c, space) for c in coefficients),
             guide_residuals=self.guide_residuals(coefficients, space),
+            window=self.opts.window,
             evaluator=self.raw.evaluator,
         )
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from ssmpipe.core.arrays import Bools, Floats, Ints
 from ssmpipe.core.correspondence.direction import Direction, apply_directions, components_first, components_last
+from ssmpipe.core.correspondence.window import Window, whole
 from ssmpipe.core.errors import GeometryError
 
 Boundary = Literal["fixed", "sliding", "periodic"]
@@ -17,7 +18,8 @@ Boundary = Literal["fixed", "sliding", "periodic"]
 class Reparameterization:
     """Evaluate ``D_i(u_l)`` [2.2, 2.3 of Li 2015] at tensor nodes for many shapes at once, and pull gradients back.
 
-    Internally ``D = id + displacement``, so that the identity has no displacement in every boundary mode.
+    Internally ``D = id + displacement``, so that the identity has no displacement in every boundary mode. With a window, ``id`` is
+    the affine map onto it.
 
     Parameters
     ----------
@@ -54,6 +56,7 @@ class Reparameterization:
         *,
         degree: int = 2,
         boundary: Boundary = "fixed",
+        window: Window | None = None,
     ) -> None:
         if len(n_coefficients) != len(nodes) or len(nodes) not in (1, 2):
             raise GeometryError(
@@ -61,6 +64,7 @@ class Reparameterization:
             )
         self.degree = degree
         self.boundary = boundary
+        self.window = window or whole(len(nodes))
         self.periodic = tuple(boundary == "periodic" and axis == 0 for axis in range(len(nodes)))
         self.directions = tuple(Direction(n, degree, p) for n, p in zip(n_coefficients, self.periodic, strict=True))
         self.nodes = tuple(
@@ -70,9 +74,11 @@ class Reparameterization:
         self.grid = tuple(len(n) for n in self.nodes)
         self._basis = tuple(d.matrix(n) for d, n in zip(self.directions, self.nodes, strict=True))
         self._slope = tuple(d.matrix(n, 1) for d, n in zip(self.directions, self.nodes, strict=True))
-        self._at = np.stack(np.meshgrid(*self.nodes, indexing="ij"), axis=0)
-        self._identity = np.stack(np.meshgrid(*[d.identity for d in self.directions], indexing="ij"), axis=-1)
-        self.free = free_coefficients(n_coefficients, boundary)
+        at = np.stack(np.meshgrid(*self.nodes, indexing="ij"), axis=-1)
+        self._at = np.ascontiguousarray(components_first(self.window.image(at)[None])[0])
+        identity = np.stack(np.meshgrid(*[d.identity for d in self.directions], indexing="ij"), axis=-1)
+        self._identity = self.window.image(identity)
+        self.free = free_coefficients(n_coefficients, boundary, self.window)
 
     @property
     def n_coefficients(self) -> tuple[int, ...]:
@@ -86,7 +92,15 @@ class Reparameterization:
 
     def at(self, nodes: tuple[int, ...] | tuple[Floats, ...]) -> Reparameterization:
         """Return the same space of maps with other nodes."""
-        return Reparameterization(self.n_coefficients, nodes, degree=self.degree, boundary=self.boundary)
+        return Reparameterization(
+            self.n_coefficients, nodes, degree=self.degree, boundary=self.boundary, window=self.window
+        )
+
+    def within(self, window: Window) -> Reparameterization:
+        """Return maps with the same coefficients and nodes that cover a window."""
+        return Reparameterization(
+            self.n_coefficients, self.nodes, degree=self.degree, boundary=self.boundary, window=window
+        )
 
     def identity(self) -> Floats:
         """Return the (*n_coefficients, d_par) coefficients of the identity."""
@@ -116,7 +130,7 @@ class Reparameterization:
         out = []
         for axis in range(self.n_directions):
             values = apply_directions(self._mixed(axis), displacement)
-            values[:, axis] += 1.0
+            values[:, axis] += self.window.extent[axis]
             out.append(components_last(values).reshape(len(coefficients), -1, self.n_directions))
         return tuple(out)
 
@@ -222,8 +236,8 @@ def numbered(free: Bools) -> Ints:
     return np.where(free.ravel(), np.cumsum(free) - 1, -1).astype(np.int64)
 
 
-def free_coefficients(n_coefficients: tuple[int, ...], boundary: Boundary) -> Bools:
-    """Return the (*n_coefficients, d_par) mask of unknowns for a boundary mode.
+def free_coefficients(n_coefficients: tuple[int, ...], boundary: Boundary, window: Window | None = None) -> Bools:
+    """Return the (*n_coefficients, d_par) mask of unknowns for a boundary mode, and for the open edges of a window.
 
     Examples
     --------
@@ -243,4 +257,6 @@ def free_coefficients(n_coefficients: tuple[int, ...], boundary: Boundary) -> Bo
         elif boundary == "sliding":
             free[[0, -1], [0, -1], :] = False
             free[[0, -1], [-1, 0], :] = False
+    for axis, end in window.open_edges if window is not None else ():
+        free[(slice(None),) * axis + (end,)] = True
     return free

@@ -19,6 +19,7 @@ from ssmpipe.core.arrays import Floats
 from ssmpipe.core.blocks import map_blocks
 from ssmpipe.core.correspondence.covariance import centred_spectrum, parameter_adjoint
 from ssmpipe.core.correspondence.reparameterization import Boundary, Reparameterization
+from ssmpipe.core.correspondence.window import Window
 from ssmpipe.core.engine import Arrays, Content, Engine
 from ssmpipe.core.spline.curve import BSplineCurve
 from ssmpipe.core.spline.evaluate import SHAPES_PER_BLOCK, Jet, Spline, SplineStack
@@ -248,6 +249,7 @@ def _described(splines: Sequence[Spline], stack: SplineStack, space: Reparameter
         "n_coefficients": np.array(space.n_coefficients),
         "degree": np.array(space.degree),
         "boundary": np.array(space.boundary),
+        "window": np.array([space.window.low, space.window.high]),
         "weights": weights,
     }
     out |= {f"knots_{k}": knots for k, knots in enumerate(splines[0].knot_vectors)}
@@ -269,5 +271,6 @@ def _understood(arrays: Arrays) -> tuple[SplineStack, Reparameterization, Floats
         tuple(arrays[f"nodes_{k}"] for k in range(n)),
         degree=int(arrays["degree"]),
         boundary=boundary,
+        window=Window(*(tuple(row.tolist()) for row in arrays["window"])),
     )
     return SplineStack(splines, tuple(bool(p) for p in arrays["periodic"])), space, arrays["weights"]

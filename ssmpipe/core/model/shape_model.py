@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ssmpipe.core.arrays import Floats, Ints
+from ssmpipe.core.correspondence.window import Window
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.outline.outline import Outline
 
@@ -49,6 +50,8 @@ class ShapeModel:
     topology : str
     lambda_cut : float
         Variance below which a mode counted as noise in the optimization [mm^2]; NaN where it is not known.
+    window : Window, optional
+        Part of the parameter domain that it covers, where rims were free.
     chain : Chain, optional
         None for a model that was not built by a run, or by a version that did not keep it.
     """
@@ -62,6 +65,7 @@ class ShapeModel:
     faces: Ints
     topology: str
     lambda_cut: float = float("nan")
+    window: Window | None = None
     chain: Chain | None = None
 
     @property

@@ -7,6 +7,7 @@ from ssmpipe.core.correspondence.objective import GroupObjective
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
 from ssmpipe.core.correspondence.sensitivity import direct_gradient, finite_difference_gradient
 from ssmpipe.core.correspondence.spectral import spectral_function
+from ssmpipe.core.correspondence.window import Window
 from ssmpipe.core.spline.basis import design_matrix
 from ssmpipe.core.spline.curve import BSplineCurve
 from ssmpipe.core.spline.evaluate import SplineStack
@@ -28,10 +29,16 @@ CURVES = [fit_curve_through(np.stack([np.cos(t), np.sin(t) * (1 + 0.3 * k)], axi
 
 
 def objective(
-    covariance="discrete", boundary="fixed", reference=1, spectral="description-length", curves=False, **options
+    covariance="discrete",
+    boundary="fixed",
+    reference=1,
+    spectral="description-length",
+    curves=False,
+    window=None,
+    **options,
 ):
     n, grid = ((7,), (31,)) if curves else ((7, 6), (21, 23))
-    space = Reparameterization(n, grid, boundary=boundary)
+    space = Reparameterization(n, grid, boundary=boundary, window=window)
     nodes, base = landmark_rule(space, grid, "grid" if covariance == "discrete" else "gauss")
     stack = SplineStack(CURVES if curves else bumps(5), space.periodic)
     function = spectral_function(spectral, 1e-3)
@@ -57,6 +64,36 @@ def test_gradient_is_exact(covariance, boundary, reference, curves):
         covariance, boundary, reference, curves=curves, prior=0.3, barrier=0.7, constraint=Barrier(floor=0.05)
     )
     assert check_gradient(f) > 1.8
+
+
+WINDOWS = [
+    ("fixed", Window((0.1, 0.05), (0.9, 0.97))),
+    ("periodic", Window((0.0, 0.05), (1.0, 1.0))),
+    ("periodic", Window((0.0, 0.1), (1.0, 0.95))),
+]
+
+
+@pytest.mark.parametrize("covariance", ["discrete", "I", "II"])
+@pytest.mark.parametrize(("boundary", "window"), WINDOWS)
+@pytest.mark.parametrize("aggregate", ["each", "ks"])
+def test_gradient_with_open_edges_is_exact(covariance, boundary, window, aggregate):
+    barrier = Barrier(aggregate, 0.05)
+    f = objective(covariance, boundary, -1, window=window, prior=0.3, barrier=0.7, constraint=barrier)
+    assert f.walls(f.start()).shape[1] > f.jacobians(f.start()).shape[1]
+    assert check_gradient(f) > 1.8
+
+
+@pytest.mark.parametrize(("boundary", "window"), WINDOWS)
+@pytest.mark.parametrize("aggregate", ["each", "ks"])
+def test_hessian_product_with_open_edges(boundary, window, aggregate):
+    barrier = Barrier(aggregate, 0.05)
+    f = objective("I", boundary, -1, window=window, prior=0.3, barrier=0.7, constraint=barrier)
+    rng = np.random.default_rng(3)
+    x = f.start() + f._keep_gauge(0.004 * rng.normal(size=f.start().size))
+    direction = f._keep_gauge(rng.normal(size=x.size))
+    forward, back = (f.value_and_gradient(x + h * direction)[1] for h in (1e-7, -1e-7))
+    product = f.hessian(x)(direction)
+    np.testing.assert_allclose(product, (forward - back) / 2e-7, atol=1e-6 * np.abs(product).max())
 
 
 @pytest.mark.parametrize("spectral", ["description-length", "log-determinant", "trace"])
@@ -182,9 +219,9 @@ def test_local_normal_blocks_equal_the_dense_product(boundary):
     f = objective(boundary=boundary)
     rng = np.random.default_rng(6)
     b = f.coefficients(f.start() + 0.01 * rng.normal(size=f.start().size))
-    curvature = rng.uniform(1, 2, size=(len(b), f.jacobian.n))
-    for block, one, k in zip(f.jacobian.normal_blocks(b, curvature), b, curvature, strict=True):
-        rows = f.jacobian.rows(one)[:, f.reparameterization.free.ravel()]
+    curvature = rng.uniform(1, 2, size=(len(b), f.inequalities.jacobian.n))
+    for block, one, k in zip(f.inequalities.jacobian.normal_blocks(b, curvature), b, curvature, strict=True):
+        rows = f.inequalities.jacobian.rows(one)[:, f.reparameterization.free.ravel()]
         np.testing.assert_allclose(block, rows.T @ (k[:, None] * rows), atol=1e-10 * np.abs(block).max())
 
 
