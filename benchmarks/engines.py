@@ -35,7 +35,8 @@ from ssmpipe.core.correspondence.spectral import spectral_function
 from ssmpipe.core.engine import Arrays, Content, Engine
 from ssmpipe.core.optim.interior import DescentOptions, minimize_interior
 from ssmpipe.core.spline.evaluate import Spline, SplineStack
-from ssmpipe.runner.engines import DaskEngine, ProcessEngine
+from ssmpipe.runner.dask_engine import DaskEngine
+from ssmpipe.runner.engines import ProcessEngine
 
 GRID = (51, 51)
 

@@ -140,7 +140,7 @@ def _engine(job: Job) -> Iterator[Engine | None]:
         yield None
         return
     from ssmpipe.runner.cluster import connected
-    from ssmpipe.runner.engines import DaskEngine
+    from ssmpipe.runner.dask_engine import DaskEngine
 
     with connected(job.cluster) as client:
         engine = DaskEngine(client, job.workspace.scratch / "shared")

@@ -1,4 +1,4 @@
-"""Processes that share the blocks of a group optimization: on this machine, or the workers of a dask cluster.
+"""Processes of this machine that share the blocks of a group optimization, and the folder of arrays that any engine shares.
 
 Arrays are shared as files in a folder that all processes see. A process that dies is replaced; the calls it had are made again,
 elsewhere, and find nothing in the memory of the process: the functions make it anew from the files.
@@ -10,8 +10,6 @@ import hashlib
 import multiprocessing
 import os
 import pickle
-import time
-import uuid
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -26,7 +24,7 @@ from ssmpipe.core.errors import SsmpipeError
 from ssmpipe.runner.disk import replacing
 
 _KEPT = 2
-_RETRIES = 3
+RETRIES = 3
 
 
 class EngineError(SsmpipeError):
@@ -151,7 +149,7 @@ class ProcessEngine:
         return True
 
     def _answer(self, place: int, text: bytes, sent: bool) -> Any:
-        for _ in range(1 + _RETRIES):
+        for _ in range(1 + RETRIES):
             worker = self._workers[place]
             if sent and worker is not None:
                 try:
@@ -167,7 +165,7 @@ class ProcessEngine:
             self._drop(place)
             sent = self._send(place, text)
         raise EngineError(
-            f"a process of the engine died {1 + _RETRIES} times in the same call",
+            f"a process of the engine died {1 + RETRIES} times in the same call",
             "use fewer --jobs: memory may be short",
         )
 
@@ -216,75 +214,3 @@ def _serve(pipe: Connection, parent: int) -> None:
 def may_have_children() -> None:
     """Let this process start others although it is itself a child that ends with its parent: ours end with theirs, too."""
     multiprocessing.current_process()._config["daemon"] = False  # type: ignore[attr-defined]
-
-
-class DaskEngine:
-    """The workers of a dask cluster; calls stay with their worker as long as it lives.
-
-    Parameters
-    ----------
-    client : distributed.Client
-    folder : Path
-        For shared arrays; the workers must see it under the same path.
-    """
-
-    def __init__(self, client: Any, folder: Path) -> None:
-        self._client = client
-        self._folder = SharedFolder(folder)
-        self._addresses: list[str] = []
-        self._asked = 0.0
-        # a scheduler gives the answer that it has to whoever uses a key again: the keys of two engines must differ
-        self._name = uuid.uuid4().hex
-        self._count = 0
-
-    @property
-    def n_workers(self) -> int:
-        """Number of workers that are there now."""
-        return max(1, len(self._places()))
-
-    def _places(self) -> list[str]:
-        now = time.monotonic()
-        if not self._addresses or now - self._asked > 2.0:
-            self._addresses = sorted(self._client.nthreads())
-            self._asked = now
-        return self._addresses
-
-    def share(self, arrays: Arrays) -> Content:
-        """Write arrays into the folder."""
-        return self._folder.share(arrays)
-
-    def call(self, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """Return the results in order.
-
-        Raises
-        ------
-        EngineError
-            If the workers of a call die four times.
-        """
-        from distributed import KilledWorker
-
-        places = self._places()
-        self._count += 1
-        futures = [
-            self._client.submit(
-                function,
-                *args,
-                key=f"{function.__name__}-{self._name}-{self._count}-{k}",
-                workers=[places[k % len(places)]] if places else None,
-                allow_other_workers=True,
-                retries=_RETRIES,
-                pure=False,
-            )
-            for k, args in enumerate(arguments)
-        ]
-        try:
-            return list(self._client.gather(futures))
-        except KilledWorker as error:
-            raise EngineError(
-                f"workers died again and again: {str(error)[:200]}",
-                "give them more memory, or use more landmark_blocks",
-            ) from None
-
-    def close(self) -> None:
-        """Remove the shared files; the client belongs to who made it."""
-        self._folder.clear()

@@ -14,9 +14,10 @@ from typing import Any
 import pytest
 
 from ssmpipe.io.splines import write_spline
+from ssmpipe.runner import dask_engine
 from ssmpipe.runner.cluster import slurm_cluster
 from ssmpipe.runner.config import Project, SlurmConfig
-from ssmpipe.runner.engines import DaskEngine
+from ssmpipe.runner.dask_engine import DaskEngine
 from tests.support.engines import Killing, optimized
 from tests.support.surfaces import bumps
 from tests.support.toys import TOY
@@ -68,12 +69,34 @@ def test_the_optimization_has_the_same_bits_on_dask_also_when_a_worker_is_killed
     serial = optimized(None)
     engine = DaskEngine(client, tmp_path / "shared")
     assert optimized(engine) == serial
+    assert engine.n_tasks == 0
     killing = Killing(engine, lambda: workers(client), after=7)
     assert optimized(killing) == serial
     assert killing.n_killed == 1
+    assert 1 <= engine.n_tasks <= 4  # then actors again
     engine.close()
     assert list(tmp_path.iterdir()) == []
     client.wait_for_workers(2, timeout=60)
+
+
+def test_a_worker_that_does_not_answer_is_left_alone(
+    client: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dask_engine, "_LOOK_EVERY_S", 0.5)
+    monkeypatch.setattr(dask_engine, "_NO_ANSWER_S", 2.0)
+    engine = DaskEngine(client, tmp_path / "shared")
+    first, second = engine.call(os.getpid, [(), ()])
+    os.kill(first, signal.SIGSTOP)
+    try:
+        assert engine.call(os.getpid, [(), ()]) == [second, second]
+        assert engine.call(os.getpid, [(), ()]) == [second, second]
+        assert engine.n_tasks == 1
+    finally:
+        os.kill(first, signal.SIGCONT)
+    with pytest.raises(ZeroDivisionError):
+        engine.call(divmod, [(1, 1), (1, 0)])
+    assert engine.n_tasks == 1
+    engine.close()
 
 
 def test_a_whole_run_on_an_own_cluster_gives_the_same_bytes(tmp_path: Path) -> None:

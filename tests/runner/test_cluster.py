@@ -75,5 +75,5 @@ def test_without_the_extra_the_remedy_is_named(project: Load, monkeypatch: pytes
 
 
 def test_a_local_run_does_not_import_dask(write_config: Callable[..., Path]) -> None:
-    code = "import sys, ssmpipe.runner.run, ssmpipe.runner.engines, ssmpipe.runner.cluster; sys.exit('distributed' in sys.modules)"
+    code = "import sys, ssmpipe.runner.run, ssmpipe.runner.dask_engine, ssmpipe.runner.cluster; sys.exit('distributed' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import threading
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from ssmpipe.core.arrays import Floats
 from ssmpipe.core.correspondence.objective import GroupObjective
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
-from ssmpipe.core.correspondence.rows import RowSums, automatic_blocks
+from ssmpipe.core.correspondence.rows import LandmarkRows, RowSums, _described, automatic_blocks, grams
 from ssmpipe.core.correspondence.spectral import spectral_function
 from ssmpipe.core.spline.evaluate import SplineStack
-from ssmpipe.runner.engines import EngineError, ProcessEngine
+from ssmpipe.runner.engines import EngineError, ProcessEngine, SharedFolder
 from tests.support.engines import OPTIONS, Killing, optimized
 from tests.support.surfaces import bumps
 
@@ -64,6 +67,34 @@ def test_a_small_cohort_is_not_parted_and_options_that_cannot_be_are_evaluated_h
     assert optimized(None, second) == optimized(None, replace(second, landmark_blocks=1))
 
 
+def test_a_call_that_is_made_again_while_it_runs_waits_for_the_memory_of_the_blocks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    splines, space = bumps(3), Reparameterization((5, 5), (9, 9))
+    weights = np.full(81, 1 / 81)
+    content = SharedFolder(tmp_path / "shared").share(_described(splines, SplineStack(splines), space, weights))
+    unknowns = np.tile(space.identity()[space.free], (3, 1))
+    inside, most, both = [0], [0], threading.Barrier(2)
+    gram = LandmarkRows.gram
+
+    def watched(self: LandmarkRows, coefficients: Floats) -> Floats:
+        inside[0] += 1
+        most[0] = max(most[0], inside[0])
+        with suppress(threading.BrokenBarrierError):
+            both.wait(0.3)  # the other call comes in here if it may
+        out = gram(self, coefficients)
+        inside[0] -= 1
+        return out
+
+    monkeypatch.setattr(LandmarkRows, "gram", watched)
+    threads = [threading.Thread(target=grams, args=(content, ((0, 9),), unknowns)) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert most == [1]
+
+
 def _die() -> None:
     import os
 
@@ -90,7 +121,7 @@ def test_answers_of_a_call_that_failed_are_not_taken_for_those_of_the_next(tmp_p
 def test_a_function_that_always_kills_its_process_is_an_error_and_one_that_raises_raises(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ssmpipe.runner.engines._RETRIES", 1)
+    monkeypatch.setattr("ssmpipe.runner.engines.RETRIES", 1)
     with ProcessEngine(1, tmp_path / "shared") as engine:
         with pytest.raises(EngineError, match="died 2 times"):
             engine.call(_die, [()])

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import copy
 import math
+import threading
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 
@@ -185,14 +186,16 @@ class RowSums:
 def grams(content: Content, rows: tuple[Rows, ...], unknowns: Floats) -> list[Floats]:
     """Return the lower triangles of the shares of some blocks, for (n_S, n_free) unknowns; called in a process of an engine."""
     lower = np.tril_indices(len(unknowns))
-    coefficients, blocks = _found(content, rows, unknowns)
-    return [block.gram(coefficients)[lower] for block in blocks]
+    with _ONE_CALL:
+        coefficients, blocks = _found(content, rows, unknowns)
+        return [block.gram(coefficients)[lower] for block in blocks]
 
 
 def pull_backs(content: Content, rows: tuple[Rows, ...], unknowns: Floats, slope_product: SlopeProduct) -> list[Floats]:
     """Return the (n_S, n_free) shares of some blocks in the derivative; called in a process of an engine."""
-    coefficients, blocks = _found(content, rows, unknowns)
-    return [block.pull_back(coefficients, slope_product)[:, block.free] for block in blocks]
+    with _ONE_CALL:
+        coefficients, blocks = _found(content, rows, unknowns)
+        return [block.pull_back(coefficients, slope_product)[:, block.free] for block in blocks]
 
 
 def _total(parts: list[Floats]) -> Floats:
@@ -223,6 +226,8 @@ class _Known:
 
 
 _KNOWN: OrderedDict[str, _Known] = OrderedDict()
+_ONE_CALL = threading.Lock()
+"""Blocks have work memory: a call that was given up may still be running when it is made again in the same process."""
 
 
 def _found(content: Content, rows: tuple[Rows, ...], unknowns: Floats) -> tuple[Floats, list[LandmarkRows]]:
