@@ -25,9 +25,10 @@ def disk_errors() -> Iterator[None]:
         raise DiskError(error.errno or errno.EIO, error.strerror or str(error), error.filename) from error
 
 
-def write_atomically(path: Path, text: str) -> None:
-    """Write a text file so that a reader sees the old content or the new one, never a part."""
-    write_bytes_atomically(path, text.encode("utf-8"))
+def write_atomically(path: Path, text: str, mode: int | None = None) -> None:
+    """Write a text file so that a reader sees the old content or the new one, never a part; ``mode`` limits who may read it."""
+    with replacing(path, mode) as file:
+        file.write(text.encode("utf-8"))
 
 
 def write_bytes_atomically(path: Path, content: bytes) -> None:
@@ -37,8 +38,10 @@ def write_bytes_atomically(path: Path, content: bytes) -> None:
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[IO[bytes]]:
+def replacing(path: Path, mode: int | None = None) -> Iterator[IO[bytes]]:
     """Open a file that takes the place of ``path`` at the end, whole and on the disk; it is forgotten when that fails.
+
+    With ``mode`` it has these permissions from its first byte on, where the system knows them (not on Windows).
 
     Raises
     ------
@@ -49,7 +52,8 @@ def replacing(path: Path) -> Iterator[IO[bytes]]:
         path.parent.mkdir(parents=True, exist_ok=True)
         aside = path.with_name(f".{path.name}.{os.getpid()}")
         try:
-            with aside.open("wb") as file:
+            aside.unlink(missing_ok=True)  # of a killed process with this number; its permissions would stay
+            with open(aside, "wb", opener=lambda name, flags: os.open(name, flags, 0o666 if mode is None else mode)) as file:
                 yield file
             flush(aside)
             os.replace(aside, path)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import io
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 SHARED = "report_pseudonymized"
 KEY = "pseudonyms.csv"
+_COLUMNS = ("pseudonym", "kind", "original")
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")  # becomes the name of a file
+_RESTORE = "mend the table, or move it away: then all names are given anew"
 Format = Literal["html", "pdf"]
 
 
@@ -98,20 +101,44 @@ def _names(shown: Mapping[str, Any], key: Path) -> Pseudonyms:
     """Return the names to use, and write the table of them; names of an earlier table stay."""
     from ssmpipe.report.pseudonyms import make_pseudonyms
 
-    known: dict[str, dict[str, str]] = {"shape": {}, "subject": {}}
-    with contextlib.suppress(FileNotFoundError):
-        for row in csv.DictReader(io.StringIO(key.read_text(encoding="utf-8"))):
-            known.setdefault(row["kind"], {})[row["original"]] = row["pseudonym"]
+    known = _known(key)
     names = make_pseudonyms(shown, known["shape"], known["subject"])
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(["pseudonym", "kind", "original"])
+    table.writerow(_COLUMNS)
     for kind, pairs in (("shape", names.names), ("subject", names.subjects)):
         table.writerows(sorted([name, kind, original] for original, name in pairs.items()))
-    write_atomically(key, text.getvalue())
-    with contextlib.suppress(OSError):
-        key.chmod(0o600)
+    write_atomically(key, text.getvalue(), mode=0o600)
     return names
+
+
+def _known(key: Path) -> dict[str, dict[str, str]]:
+    """Return the names of an earlier table, {kind: {original: pseudonym}}; none when there is no table.
+
+    Raises
+    ------
+    ConfigError
+        If the table was edited so that it says nothing, or two things, of somebody: names must not silently change hands.
+    """
+    known: dict[str, dict[str, str]] = {"shape": {}, "subject": {}}
+    try:
+        rows = list(csv.reader(io.StringIO(key.read_text(encoding="utf-8-sig"))))
+    except FileNotFoundError:
+        return known
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(f"{key} is not the table that ssmpipe wrote ({error})", _RESTORE) from None
+    if not rows or tuple(rows[0]) != _COLUMNS:
+        raise ConfigError(f"{key}: the first line must be {','.join(_COLUMNS)}", _RESTORE)
+    for number, row in enumerate(rows[1:], start=2):
+        if not row:
+            continue
+        if len(row) != len(_COLUMNS) or row[1] not in known or not _NAME.fullmatch(row[0]) or not row[2]:
+            raise ConfigError(f"{key}, line {number}: not a pseudonym, shape or subject, and an original name", _RESTORE)
+        pseudonym, kind, original = row
+        if original in known[kind] or pseudonym in known[kind].values():
+            raise ConfigError(f"{key}, line {number}: '{pseudonym}' or its original name is there twice", _RESTORE)
+        known[kind][original] = pseudonym
+    return known
 
 
 def _write_pdf(path: Path, make: Callable[[], Document]) -> None:

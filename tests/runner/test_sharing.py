@@ -1,15 +1,18 @@
 from __future__ import annotations
 
+import os
 import re
+import stat
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from ssmpipe.core.errors import SsmpipeError
+from ssmpipe.core.errors import ConfigError, SsmpipeError
+from ssmpipe.runner import disk
 from ssmpipe.runner.config import Project
 from ssmpipe.runner.run import RunResult
-from ssmpipe.runner.sharing import share_report
+from ssmpipe.runner.sharing import _names, share_report
 
 CHAIN = ["grow", "shift", "results", "report"]
 SECRETS = ("Miller_Anna", "Weber-1944", "bone.left.77", "Kowalski_12", "scans/", "toys.yaml")
@@ -73,3 +76,49 @@ def test_pdf_with_and_without_names(
     assert hidden == tmp_path / "out/report_pseudonymized/report.pdf"
     assert key is not None
     assert plain.read_bytes()[:5] == hidden.read_bytes()[:5] == b"%PDF-"
+
+
+HEAD = "pseudonym,kind,original\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "fact"),
+    [
+        ("name,kind,original\nP001,shape,a\n", "the first line must be pseudonym,kind,original"),
+        ("", "the first line must be"),
+        (HEAD + "P001,shape\n", "line 2: not a pseudonym"),
+        (HEAD + "../P001,shape,a\n", "line 2: not a pseudonym"),
+        (HEAD + "P001,shape,a\nP002,patient,b\n", "line 3: not a pseudonym"),
+        (HEAD + "P001,shape,a\nP001,shape,b\n", "line 3: 'P001' or its original name is there twice"),
+        (HEAD + "P001,shape,a\nP002,shape,a\n", "line 3: 'P002' or its original name is there twice"),
+        (HEAD + "P001,shape,\xe9\n", "is not the table that ssmpipe wrote"),
+    ],
+)
+def test_an_edited_table_of_names_is_one_clear_error(tmp_path: Path, text: str, fact: str) -> None:
+    key = tmp_path / "pseudonyms.csv"
+    key.write_bytes(text.encode("latin-1"))
+    with pytest.raises(ConfigError, match=re.escape(fact)) as error:
+        _names({"shapes": {"a": {"info": {}}}}, key)
+    assert "mend the table, or move it away" in str(error.value)
+    assert key.read_bytes() == text.encode("latin-1")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such permissions")
+def test_nobody_else_can_read_the_table_of_names_at_any_moment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    key = tmp_path / "pseudonyms.csv"
+    modes = []
+    flush, old = disk.flush, os.umask(0)
+
+    def looked(path: Path) -> None:
+        modes.append(stat.S_IMODE(path.stat().st_mode))
+        flush(path)
+
+    monkeypatch.setattr(disk, "flush", looked)
+    try:
+        for _ in range(2):
+            _names({"shapes": {"a": {"info": {}}}}, key)
+            modes.append(stat.S_IMODE(key.stat().st_mode))
+    finally:
+        os.umask(old)
+    assert modes == [0o600] * 4
+    assert key.read_text() == HEAD + "P001,shape,a\n"
