@@ -57,9 +57,10 @@ def test_a_cohort_runs_and_a_bad_shape_is_named(
     config = write_config(
         stages=[{"grow": {"abort": ["a"]}}, "shift", "total"], limits={"memory_mb": 2000}, max_failed_fraction=0.9
     )
-    command = [sys.executable, "-m", "ssmpipe.cli", "run", str(config), "-q", "-j", "2"]
+    command = [sys.executable, "-m", "ssmpipe.cli", "run", str(config), "-j", "2"]
     done = subprocess.run(command, env=elsewhere, capture_output=True, text=True, check=False)
     assert done.returncode == 3, done.stderr
+    assert done.stderr.count("children run without limits.memory_mb: 2000 (this system has no such limit)") == 1
     failures = json.loads((config.parent / "out/failures.json").read_text())
     assert list(failures) == ["a"]
     assert (config.parent / "out/cohort").is_dir()

@@ -240,16 +240,13 @@ class _Teller:
         return tell
 
 
-def start_child(memory_mb: int | None, noise: str, parent: int) -> None:
+def start_child(memory_mb: int | None, noise: str, parent: int, events: Path | None = None) -> None:
     """Prepare a fresh child: limits, one thread, no library chatter on the user's terminal, and no life without parent."""
     die_with(parent)
     if memory_mb is not None:
-        try:
-            import resource
-
-            resource.setrlimit(resource.RLIMIT_AS, (memory_mb * 2**20, memory_mb * 2**20))
-        except (ImportError, ValueError, OSError):
-            pass  # no such limit on Windows; macOS may refuse it
+        unlimited = limit_memory(memory_mb)
+        if unlimited and events is not None:
+            _Teller(events, "")("warning", "", text=unlimited)
     sink = os.open(noise, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
     for stream in (1, 2):
         os.dup2(sink, stream)
@@ -258,6 +255,21 @@ def start_child(memory_mb: int | None, noise: str, parent: int) -> None:
     from threadpoolctl import threadpool_limits
 
     threadpool_limits(1)
+
+
+def limit_memory(memory_mb: int) -> str:
+    """Limit the address space of this process; return why that cannot be done, or nothing."""
+    try:
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_AS, (memory_mb * 2**20, memory_mb * 2**20))
+    except ImportError:  # Windows
+        reason = "this system has no such limit"
+    except (ValueError, OSError, OverflowError) as error:  # macOS; a container or a shell whose own limit is lower
+        reason = f"the system refuses it: {error}"
+    else:
+        return ""
+    return f"children run without limits.memory_mb: {memory_mb} ({reason}); watch the memory, or use fewer --jobs"
 
 
 def die_with(parent: int) -> None:
@@ -350,6 +362,7 @@ class Batch:
     _pool: Any = field(default=None, init=False)
     _read: int = field(default=0, init=False)
     _steps: dict[str, str] = field(default_factory=dict, init=False)
+    _warned: set[str] = field(default_factory=set, init=False)
 
     @property
     def events(self) -> Path:
@@ -386,7 +399,7 @@ class Batch:
                 self._pool = ProcessPool(
                     max_workers=self.jobs,
                     initializer=start_child,
-                    initargs=(self.memory_mb, noise, os.getpid()),
+                    initargs=(self.memory_mb, noise, os.getpid(), self.events),
                     context=multiprocessing.get_context("spawn"),
                 )
             with interrupts_for_parent():
@@ -446,6 +459,10 @@ class Batch:
                 continue
             if event.kind == "start":
                 self._steps[event.key] = event.step
+            if event.kind == "warning":  # every child says it, one line is enough
+                if event.text in self._warned:
+                    continue
+                self._warned.add(event.text)
             self.on_event(event)
 
     def _watch_memory(self) -> None:

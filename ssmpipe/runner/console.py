@@ -79,6 +79,9 @@ class Console:
 
     def event(self, event: Event) -> None:
         """Show what a child says."""
+        if event.kind == "warning":
+            self.warn(event.text)
+            return
         who = "" if event.key == COHORT else f"{event.key} "
         if self._bar is not None and self._task is not None:
             if event.kind == "done" and event.key != COHORT:

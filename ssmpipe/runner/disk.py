@@ -53,7 +53,9 @@ def replacing(path: Path, mode: int | None = None) -> Iterator[IO[bytes]]:
         aside = path.with_name(f".{path.name}.{os.getpid()}")
         try:
             aside.unlink(missing_ok=True)  # of a killed process with this number; its permissions would stay
-            with open(aside, "wb", opener=lambda name, flags: os.open(name, flags, 0o666 if mode is None else mode)) as file:
+            with open(
+                aside, "wb", opener=lambda name, flags: os.open(name, flags, 0o666 if mode is None else mode)
+            ) as file:
                 yield file
             flush(aside)
             os.replace(aside, path)

@@ -133,7 +133,9 @@ def _known(key: Path) -> dict[str, dict[str, str]]:
         if not row:
             continue
         if len(row) != len(_COLUMNS) or row[1] not in known or not _NAME.fullmatch(row[0]) or not row[2]:
-            raise ConfigError(f"{key}, line {number}: not a pseudonym, shape or subject, and an original name", _RESTORE)
+            raise ConfigError(
+                f"{key}, line {number}: not a pseudonym, shape or subject, and an original name", _RESTORE
+            )
         pseudonym, kind, original = row
         if original in known[kind] or pseudonym in known[kind].values():
             raise ConfigError(f"{key}, line {number}: '{pseudonym}' or its original name is there twice", _RESTORE)

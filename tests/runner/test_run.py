@@ -185,18 +185,37 @@ def test_bad_shapes_are_named_and_the_others_go_on(
 
 @pytest.mark.parametrize(
     ("way", "text"),
-    [
-        ("leave", "a library ended the process (exit code 1)"),
-        ("bug", "internal error ZeroDivisionError: oops"),
-        ("hang", "did not finish within 1 s"),
-    ],
+    [("leave", "a library ended the process (exit code 1)"), ("bug", "internal error ZeroDivisionError: oops")],
 )
 def test_other_ways_to_fail(run: Run, way: str, text: str) -> None:
-    result = run(f"stages.grow.{way}=[b]", "limits.timeout_s=1", options=RunOptions(jobs=2))
+    result = run(f"stages.grow.{way}=[b]", options=RunOptions(jobs=2))
     assert result.exit_code == 3
     assert result.failures["b"].error == text
     assert result.failures["b"].stage == "grow"
     assert result.ok == ["a", "c", "d"]
+
+
+def test_a_shape_that_hangs_is_ended(run: Run) -> None:
+    # the others are done before: however slow the machine, a limit ends only who hangs
+    run("stages.grow.refuse=[b]", options=RunOptions(jobs=2))
+    result = run(
+        "stages.grow.hang=[b]", "limits.timeout_s=0.5", options=RunOptions(jobs=2, only=("grow",), shapes=("b",))
+    )
+    assert result.exit_code == 3
+    assert result.failures["b"].error == "did not finish within 0.5 s"
+    assert result.failures["b"].stage == "grow"
+
+
+def test_a_limit_that_the_system_refuses_is_said_once(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    resource = pytest.importorskip("resource", reason="Windows has no limit to refuse")
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    said = []
+    monkeypatch.setattr(Console, "warn", lambda self, text: said.append(text))
+    result = run(f"limits.memory_mb={2**45}", options=RunOptions(jobs=2))
+    assert result.exit_code == 0
+    (line,) = said
+    assert line.startswith(f"children run without limits.memory_mb: {2**45} (the system refuses it: ")
+    assert resource.getrlimit(resource.RLIMIT_AS) == before
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the limit of a child's memory is tested on Linux")
