@@ -81,7 +81,7 @@ def main() -> None:
     args = parser.parse_args()
     if args.shares:
         head("Share of the work inside the blocks, 51 x 51 landmarks, 8 x 8 coefficients")
-        for n in (12, 34, 100):
+        for n in (12, 34, 100, 300):
             shares(n)
         return
     head(f"Threads, {args.shapes} shapes, 51 x 51 landmarks, 8 x 8 coefficients")

@@ -120,9 +120,10 @@ def _errors(debug: bool, store: Path | None = None) -> Iterator[None]:
         if debug:
             raise
         from ssmpipe.runner.lock import LockHeldError
+        from ssmpipe.runner.patience import ClusterLostError
 
         click.echo(f"{error}", err=True)
-        sys.exit(75 if isinstance(error, LockHeldError) else 3)
+        sys.exit(75 if isinstance(error, LockHeldError) else 74 if isinstance(error, ClusterLostError) else 3)
     except OSError as error:
         if debug:
             raise

@@ -28,6 +28,7 @@ from ssmpipe.core.engine import Engine
 from ssmpipe.core.errors import SsmpipeError
 from ssmpipe.runner.disk import DiskError, write_atomically
 from ssmpipe.runner.execute import TaskRecord, failure_of, run_task
+from ssmpipe.runner.patience import ClusterLostError
 from ssmpipe.runner.workspace import Workspace
 
 FAILED = "failed.txt"
@@ -51,6 +52,7 @@ class ClusterAddress:
     address: str
     security: Any = None
     direct: bool = False
+    worker_wait_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -109,11 +111,15 @@ class Failure:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a job brought: its finished tasks, and what stopped it; ``disk`` is set when the output cannot be written."""
+    """What a job brought: its finished tasks, and what stopped it.
+
+    ``disk`` is set when the output cannot be written, ``lost`` when the cluster is gone.
+    """
 
     records: tuple[TaskRecord, ...]
     failure: Failure | None = None
     disk: str = ""
+    lost: str = ""
 
 
 @dataclass
@@ -143,7 +149,7 @@ def _engine(job: Job) -> Iterator[Engine | None]:
     from ssmpipe.runner.dask_engine import DaskEngine
 
     with connected(job.cluster) as client:
-        engine = DaskEngine(client, job.workspace.scratch / "shared")
+        engine = DaskEngine(client, job.workspace.scratch / "shared", job.cluster.worker_wait_s)
         try:
             yield engine
         finally:
@@ -188,6 +194,8 @@ def _run_job(job: Job, events: Path, memory_mb: int | None) -> Outcome:
         if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EROFS):
             return Outcome(tuple(records), disk=f"{error.strerror}: {error.filename or job.workspace.out}")
         return Outcome(tuple(records), _failure(job, current, error, memory_mb))
+    except ClusterLostError as error:
+        return Outcome(tuple(records), lost=error.fact)
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # also SystemExit: some mesh libraries end the process on a bad file
@@ -387,6 +395,8 @@ class Batch:
         ------
         DiskError
             As soon as a child reports that it cannot write.
+        ClusterLostError
+            If a group task lost the cluster that shares its work.
         """
         if not jobs:
             return
@@ -421,6 +431,8 @@ class Batch:
                         for other in waiting:
                             other.cancel()
                         raise DiskError(errno.EIO, outcome.disk)
+                    if outcome.lost:
+                        raise ClusterLostError(outcome.lost)
                     finished(job, outcome)
                 self._watch_memory()
                 if not ready:

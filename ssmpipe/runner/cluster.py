@@ -14,6 +14,7 @@ import threading
 import time
 import uuid
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -21,9 +22,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ssmpipe.core.errors import ConfigError
-from ssmpipe.runner.batch import Batch, ClusterAddress, Job, Outcome, one_thread_environment, record_failure
+from ssmpipe.runner.batch import Batch, ClusterAddress, Event, Job, Outcome, one_thread_environment, record_failure
 from ssmpipe.runner.disk import DiskError, disk_errors
 from ssmpipe.runner.engines import may_have_children
+from ssmpipe.runner.patience import ClusterLostError, Patience
 
 if TYPE_CHECKING:
     from ssmpipe.runner.config import RunConfig, SlurmConfig
@@ -279,16 +281,23 @@ class DaskBatch(Batch):
     client : distributed.Client
     address : ClusterAddress
         For the child of a group task.
+    worker_wait_s : float, optional
+        Longest time without any worker.
+    queued : bool
+        Whether it counts from the first worker on.
     """
 
     client: Any = None
     address: ClusterAddress | None = None
+    worker_wait_s: float | None = None
+    queued: bool = False
     _name: str = field(default_factory=lambda: uuid.uuid4().hex, init=False)
 
     def __exit__(self, kind: Any, value: Any, trace: Any) -> None:
         super().__exit__(kind, value, trace)
-        with suppress(Exception):  # workers that are gone have no children left
-            self.client.run(release, self._name)
+        if not isinstance(value, ClusterLostError):
+            with suppress(Exception):  # workers that are gone have no children left
+                self.client.run(release, self._name)
 
     def run(self, jobs: Sequence[Job], finished: Callable[[Job, Outcome], None]) -> None:
         """Run jobs; see :meth:`Batch.run`."""
@@ -300,19 +309,27 @@ class DaskBatch(Batch):
             self._on_workers(there, finished)
 
     def _on_workers(self, jobs: Sequence[Job], finished: Callable[[Job, Outcome], None]) -> None:
-        waiting = {
-            self.client.submit(
-                run_on_worker, job, self._name, self.memory_mb, self.timeout_s, pure=False, retries=0, priority=-k
-            ): job
-            for k, job in enumerate(jobs)
-        }
+        from distributed.comm import CommClosedError
+
+        waiting = {self._submit(job, -k): job for k, job in enumerate(jobs)}
+        unheard: Counter[str] = Counter()
+        patience = Patience(self.client, self.worker_wait_s, from_start=not self.queued, tell=self._warn)
         try:
             while waiting:
                 ready = [future for future in waiting if future.done()]
+                patience.check()
                 self._listen()
                 for future in ready:
                     job = waiting.pop(future)
-                    outcome = self._brought(job, future)
+                    try:
+                        outcome = self._brought(job, future)
+                    except CommClosedError:  # its answer was lost on the way; whoever gets it now finds the work done
+                        patience.check()
+                        unheard[job.key] += 1
+                        if unheard[job.key] > _ALLOWED_DEATHS:
+                            raise ClusterLostError("answers of the dask workers are lost again and again") from None
+                        waiting[self._submit(job, 0)] = job
+                        continue
                     if outcome.disk:
                         raise DiskError(errno.EIO, outcome.disk)
                     finished(job, outcome)
@@ -323,8 +340,17 @@ class DaskBatch(Batch):
             for future in waiting:
                 future.cancel()
 
+    def _submit(self, job: Job, priority: int) -> Any:
+        return self.client.submit(
+            run_on_worker, job, self._name, self.memory_mb, self.timeout_s, pure=False, retries=0, priority=priority
+        )
+
+    def _warn(self, text: str) -> None:
+        self.on_event(Event("warning", "", "", text=text))
+
     def _brought(self, job: Job, future: Any) -> Outcome:
-        from distributed import KilledWorker
+        from distributed import CancelledError, KilledWorker
+        from distributed.comm import CommClosedError
 
         stage = self._steps.get(job.key, job.steps[0])
         try:
@@ -334,6 +360,10 @@ class DaskBatch(Batch):
             return Outcome(
                 (), record_failure(job, stage, fact, "check the memory of the workers, or decimate more", "")
             )
+        except CancelledError:  # all futures of a scheduler that is gone
+            raise ClusterLostError("the dask scheduler, or the connection to it, broke down") from None
+        except CommClosedError:
+            raise
         except Exception as error:
             fact = f"the cluster failed: {type(error).__name__}: {str(error)[:200]}"
             return Outcome((), record_failure(job, stage, fact, "check that ssmpipe is installed on the workers", ""))

@@ -82,6 +82,14 @@ class LimitsConfig(_Section):
         int | None,
         Field(ge=1, description="Iterations of the group optimization between two saved states; null: none is saved."),
     ] = 10
+    worker_wait_s: Annotated[
+        float | None,
+        Field(
+            gt=0,
+            description="Longest time that a run on dask waits while no worker is there [s]; null: no limit. SLURM: from the first "
+            "worker on.",
+        ),
+    ] = 300.0
 
 
 class SlurmConfig(_Section):

@@ -7,6 +7,7 @@ are the same wherever a call is made.
 
 from __future__ import annotations
 
+import asyncio
 import time
 import uuid
 from collections.abc import Callable, Sequence
@@ -16,6 +17,7 @@ from typing import Any
 
 from ssmpipe.core.engine import Arrays, Content
 from ssmpipe.runner.engines import RETRIES, EngineError, SharedFolder
+from ssmpipe.runner.patience import ClusterLostError, Patience
 
 _ASK_EVERY_S = 2.0
 _LOOK_EVERY_S = 5.0
@@ -48,6 +50,8 @@ class DaskEngine:
     client : distributed.Client
     folder : Path
         For shared arrays; the workers must see it under the same path.
+    worker_wait_s : float, optional
+        Longest time without any worker [s].
 
     Attributes
     ----------
@@ -55,8 +59,9 @@ class DaskEngine:
         Calls so far that an actor could not answer.
     """
 
-    def __init__(self, client: Any, folder: Path) -> None:
+    def __init__(self, client: Any, folder: Path, worker_wait_s: float | None = None) -> None:
         self._client = client
+        self._worker_wait_s = worker_wait_s
         self._folder = SharedFolder(folder)
         self._addresses: list[str] = []
         self._asked = 0.0
@@ -76,7 +81,8 @@ class DaskEngine:
     def _places(self) -> list[str]:
         now = time.monotonic()
         if not self._addresses or now - self._asked > _ASK_EVERY_S:
-            self._addresses = sorted(place for place in self._client.nthreads() if place not in self._silent)
+            with suppress(OSError):  # without a scheduler the workers may still be there
+                self._addresses = sorted(place for place in self._client.nthreads() if place not in self._silent)
             self._asked = now
         return self._addresses
 
@@ -91,6 +97,8 @@ class DaskEngine:
         ------
         EngineError
             If the workers of a call die four times.
+        ClusterLostError
+            If no worker has been there for too long, or the scheduler is gone.
         """
         places = self._places()
         self._count += 1
@@ -161,10 +169,12 @@ class DaskEngine:
     # --- tasks ---
 
     def _as_tasks(self, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
-        from distributed import KilledWorker
+        from distributed import CancelledError, KilledWorker, wait
 
         places = self._places()
         self.n_tasks += len(arguments)
+        patience = Patience(self._client, self._worker_wait_s)
+        patience.check()
         futures = [
             self._client.submit(
                 function,
@@ -178,7 +188,13 @@ class DaskEngine:
             for k, args in enumerate(arguments)
         ]
         try:
+            while any(not future.done() for future in futures):
+                with suppress(TimeoutError, asyncio.TimeoutError):  # two classes before Python 3.11
+                    wait(futures, timeout=_ASK_EVERY_S)
+                patience.check()
             return list(self._client.gather(futures))
+        except CancelledError:
+            raise ClusterLostError("the dask scheduler, or the connection to it, broke down") from None
         except KilledWorker as error:
             raise EngineError(
                 f"workers died again and again: {str(error)[:200]}",

@@ -199,6 +199,8 @@ def run_project(project: Project, options: RunOptions, console: Console) -> RunR
         If another run holds the output folder.
     DiskError
         If the output cannot be written.
+    ClusterLostError
+        If no worker of a cluster is left.
     """
     chosen = make_selection(project, options)
     scheduler = scheduler_of(project.config, options)
@@ -299,9 +301,13 @@ class _Run:
 
         base, folder = self.project.path.parent, self.workspace.scratch / "dask"
         with open_cluster(config, scheduler, jobs, folder, base) as client:
-            address = ClusterAddress(client.scheduler.address, client.security, direct=scheduler == "local")
+            wait_s = config.limits.worker_wait_s
+            address = ClusterAddress(client.scheduler.address, client.security, scheduler == "local", wait_s)
             self.console.say(f"dask: {client.scheduler.address}, {len(client.nthreads())} workers so far")
-            with DaskBatch(jobs=1, client=client, address=address, **shared) as batch:
+            queued = scheduler == "slurm"
+            with DaskBatch(
+                jobs=1, client=client, address=address, worker_wait_s=wait_s, queued=queued, **shared
+            ) as batch:
                 yield batch
 
     def _tidy(self) -> None:

@@ -18,6 +18,7 @@ from ssmpipe.runner import dask_engine
 from ssmpipe.runner.cluster import slurm_cluster
 from ssmpipe.runner.config import Project, SlurmConfig
 from ssmpipe.runner.dask_engine import DaskEngine
+from ssmpipe.runner.patience import ClusterLostError
 from tests.support.engines import Killing, optimized
 from tests.support.surfaces import bumps
 from tests.support.toys import TOY
@@ -197,3 +198,82 @@ def test_the_job_script_for_slurm(tmp_path: Path, project: Callable[..., Project
         assert option in script
     assert sys.executable in script
     assert "OMP_NUM_THREADS=1" in script
+
+
+def test_workers_that_vanish_end_the_run_and_nothing_is_lost(tmp_path: Path, write_config: Callable[..., Path]) -> None:
+    cluster = distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, memory_limit=0,
+        local_directory=str(tmp_path / "dask"), silence_logs=60,
+    )  # fmt: skip
+    try:
+        stages = [{"grow": {"hang": ["d"]}}, {"shift": {"noise": 0.1}}, "total"]
+        config = write_config(stages=stages, limits={"worker_wait_s": 3})
+        address = cluster.scheduler_address
+        command = [sys.executable, "-m", "ssmpipe", "run", str(config), "--executor", "dask", "--scheduler", address]
+        process = subprocess.Popen(
+            command,
+            env={**os.environ, "SSMPIPE_STAGES": str(TOY)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        out = config.parent / "out"
+        deadline = time.monotonic() + 120
+        while not (out / "shapes/c/01-grow").exists() and time.monotonic() < deadline:
+            time.sleep(0.02)
+        cluster.scale(0)
+        _, errors = process.communicate(timeout=120)
+        assert process.returncode == 74, errors
+        assert "warning: no dask worker is there; the run waits up to 3 s for one" in errors
+        assert "no dask worker has been there for 3 s; try: start the cluster again and run the same command" in errors
+        assert not (out / "failures.json").exists()
+        assert not (out / "shapes/d/failed.txt").exists()
+        cluster.scale(1)
+        done = run(config, "--executor", "dask", "--scheduler", address, "--shape", "a", "--shape", "c", "--to", "grow")
+        assert "2 of 2 shapes are up to date" in done.stdout
+        with distributed.Client(address, set_as_default=False) as own:
+            engine = DaskEngine(own, tmp_path / "shared", worker_wait_s=2)
+            assert engine.call(abs, [(-1,), (-2,)]) == [1, 2]
+            cluster.scale(0)
+            while own.nthreads():
+                time.sleep(0.02)
+            with pytest.raises(ClusterLostError, match="no dask worker has been there for 2 s"):
+                engine.call(abs, [(-1,), (-2,)])
+        cluster.scale(1)
+        config = write_config(stages=["grow", *stages[1:]])
+        assert "4 shapes ok" in run(config, "--executor", "dask", "--scheduler", address).stdout
+    finally:
+        cluster.close()
+
+
+def test_a_scheduler_that_breaks_down_is_not_blamed_on_the_patients(
+    tmp_path: Path, write_config: Callable[..., Path]
+) -> None:
+    code = (
+        "import distributed, time\nif __name__ == '__main__':\n"
+        "    cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=1, host='127.0.0.1', dashboard_address=None,"
+        f" memory_limit=0, local_directory={str(tmp_path / 'dask')!r}, silence_logs=60)\n"
+        "    print(cluster.scheduler_address, flush=True)\n    time.sleep(600)\n"
+    )
+    (tmp_path / "head.py").write_text(code)
+    head = subprocess.Popen([sys.executable, str(tmp_path / "head.py")], stdout=subprocess.PIPE, text=True)
+    assert head.stdout is not None
+    address = head.stdout.readline().strip()
+    config = write_config(stages=[{"grow": {"hang": ["d"]}}, "total"], limits={"worker_wait_s": 3})
+    command = [sys.executable, "-m", "ssmpipe", "run", str(config), "--executor", "dask", "--scheduler", address]
+    process = subprocess.Popen(
+        command,
+        env={**os.environ, "SSMPIPE_STAGES": str(TOY)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 120
+    while not (config.parent / "out/shapes/c/01-grow").exists() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    head.kill()
+    head.wait()
+    _, errors = process.communicate(timeout=200)
+    assert process.returncode == 74, errors
+    assert "start the cluster again and run the same command" in errors
+    assert not (config.parent / "out/failures.json").exists()

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+import ssmpipe.runner.batch as batch
 import ssmpipe.runner.execute as execute
 from ssmpipe.core.errors import ConfigError, SsmpipeError
 from ssmpipe.io.meshes import read_mesh, write_mesh
@@ -22,6 +23,7 @@ from ssmpipe.runner.disk import DiskError
 from ssmpipe.runner.execute import run_task
 from ssmpipe.runner.lock import LockHeldError, locked
 from ssmpipe.runner.manifest import read_manifest
+from ssmpipe.runner.patience import ClusterLostError
 from ssmpipe.runner.run import RunOptions, RunResult, dry_run, make_workspace, run_project
 from ssmpipe.runner.status import status_of
 from tests.support.toys import TOY, tetrahedron
@@ -341,6 +343,20 @@ def test_crash_while_writing_leaves_no_manifest(project: Load, monkeypatch: pyte
     monkeypatch.undo()
     assert run_task(workspace, step, "a").reason == "first run"
     assert run_task(workspace, step, "a").status == "up to date"
+
+
+def test_a_group_stage_that_loses_its_cluster_is_no_failure_of_the_cohort(
+    project: Load, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    workspace = make_workspace(project())
+
+    def lost(*_: Any, **__: Any) -> None:
+        raise ClusterLostError("no dask worker has been there for 3 s")
+
+    monkeypatch.setattr(batch, "run_task", lost)
+    outcome = run_job(Job(workspace, ("total",), None, ("a",)), workspace.scratch / "events", None)
+    assert (outcome.lost, outcome.failure) == ("no dask worker has been there for 3 s", None)
+    assert not (workspace.out / "cohort").exists()
 
 
 def test_old_output_stays_until_the_new_one_is_complete(project: Load, monkeypatch: pytest.MonkeyPatch) -> None:
