@@ -181,7 +181,7 @@ class DaskEngine:
                 *args,
                 key=f"{function.__name__}-{self._name}-{self._count}-{k}",
                 workers=[places[k % len(places)]] if places else None,
-                allow_other_workers=True,
+                allow_other_workers=bool(places),
                 retries=RETRIES,
                 pure=False,
             )
