@@ -6,6 +6,7 @@ scans must be seen by all workers under the same paths, and ssmpipe must be inst
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import ipaddress
 import logging
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
 _ALLOWED_DEATHS = 3
 _WAIT_S = 60
+_ANSWER_S = 10
 _QUIET: dict[str, Any] = {"dashboard": False, "dashboard_address": "127.0.0.1:0"}
 """No page to look at, and the server that would show it is not seen by other machines."""
 
@@ -330,6 +332,9 @@ class DaskBatch(Batch):
                             raise ClusterLostError("answers of the dask workers are lost again and again") from None
                         waiting[self._submit(job, 0)] = job
                         continue
+                    except (TimeoutError, asyncio.TimeoutError):  # its worker is gone, and the work is to be done again
+                        waiting[future] = job
+                        continue
                     if outcome.disk:
                         raise DiskError(errno.EIO, outcome.disk)
                     finished(job, outcome)
@@ -354,7 +359,7 @@ class DaskBatch(Batch):
 
         stage = self._steps.get(job.key, job.steps[0])
         try:
-            return future.result()
+            return future.result(timeout=_ANSWER_S)
         except KilledWorker:
             fact = f"the workers that had this shape died, {_ALLOWED_DEATHS + 1} in turn"
             return Outcome(
@@ -362,7 +367,7 @@ class DaskBatch(Batch):
             )
         except CancelledError:  # all futures of a scheduler that is gone
             raise ClusterLostError("the dask scheduler, or the connection to it, broke down") from None
-        except CommClosedError:
+        except (CommClosedError, TimeoutError, asyncio.TimeoutError):
             raise
         except Exception as error:
             fact = f"the cluster failed: {type(error).__name__}: {str(error)[:200]}"

@@ -169,7 +169,7 @@ class DaskEngine:
     # --- tasks ---
 
     def _as_tasks(self, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
-        from distributed import CancelledError, KilledWorker, wait
+        from distributed import CancelledError, KilledWorker
 
         places = self._places()
         self.n_tasks += len(arguments)
@@ -188,11 +188,7 @@ class DaskEngine:
             for k, args in enumerate(arguments)
         ]
         try:
-            while any(not future.done() for future in futures):
-                with suppress(TimeoutError, asyncio.TimeoutError):  # two classes before Python 3.11
-                    wait(futures, timeout=_ASK_EVERY_S)
-                patience.check()
-            return list(self._client.gather(futures))
+            return [self._result(future, patience) for future in futures]
         except CancelledError:
             raise ClusterLostError("the dask scheduler, or the connection to it, broke down") from None
         except KilledWorker as error:
@@ -200,6 +196,15 @@ class DaskEngine:
                 f"workers died again and again: {str(error)[:200]}",
                 "give them more memory, or use more landmark_blocks",
             ) from None
+
+    def _result(self, future: Any, patience: Patience) -> Any:
+        while True:
+            try:
+                return future.result(timeout=_ASK_EVERY_S)
+            except (TimeoutError, asyncio.TimeoutError):  # two classes before Python 3.11
+                if future.status == "error":
+                    raise
+                patience.check()
 
     def close(self) -> None:
         """Remove the shared files; the client belongs to who made it."""
