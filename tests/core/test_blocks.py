@@ -24,3 +24,10 @@ def test_an_error_in_any_block_arrives(bad):
 
     with pytest.raises(ValueError, match=f"block {bad}"):
         map_blocks(function, 4, 1, 2)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_blocks_inside_a_block_are_refused_in_place_of_a_deadlock(threads: int) -> None:
+    with pytest.raises(AssertionError, match="called from inside a block"):
+        map_blocks(lambda s: map_blocks(lambda t: t, 2, 1, threads), 2, 1, threads)
+    assert map_blocks(lambda s: s.stop, 2, 1, threads) == [1, 2]  # the next call is outside again
