@@ -168,6 +168,8 @@ class Context:
         For long group stages: where their state goes, and the state to continue from.
     engine : Engine, optional
         For large group stages: processes that share the work; the result may not depend on them.
+    threads : int
+        That a group stage may use; the result may not depend on their number.
     """
 
     shape_id: str
@@ -178,6 +180,7 @@ class Context:
     progress: Callable[[int, int, str], None] = field(default=lambda done, total, text: None)
     checkpoints: Checkpoints | None = None
     engine: Engine | None = None
+    threads: int = 1
 
     def metric(self, name: str, value: Any) -> None:
         """Record a number (or short text, or list) for the manifest and the report."""

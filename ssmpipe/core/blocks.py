@@ -56,7 +56,7 @@ def map_blocks(function: Callable[[slice], T], n: int, size: int, threads: int =
         return [out[k] for k in range(len(slices))]
 
     # the calling thread works too, and the others are woken once each: a wake costs as much as a small block
-    helpers = [_pool(threads).submit(work) for _ in range(threads - 1)]
+    helpers = [_pool(threads).submit(work) for _ in range(min(threads, len(slices)) - 1)]
     try:
         work()
     finally:

@@ -83,6 +83,8 @@ class Job:
     cluster: ClusterAddress | None = None
     """Workers that share a group stage."""
     closing: Closing | None = None
+    threads: int = 1
+    """That a group stage may use: the cores of the children that have nothing to do meanwhile."""
 
     @property
     def key(self) -> str:
@@ -177,6 +179,7 @@ def _run_job(job: Job, events: Path, memory_mb: int | None) -> Outcome:
                     started=lambda step_id=step_id: tell("start", step_id),  # type: ignore[misc]
                     checkpoint_every=job.checkpoint_every,
                     engine=engine,
+                    threads=job.threads,
                 )
             records.append(record)
             tell("done", step_id, text=record.status)

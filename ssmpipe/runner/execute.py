@@ -99,6 +99,7 @@ def run_task(
     started: Callable[[], None] | None = None,
     checkpoint_every: int | None = None,
     engine: Engine | None = None,
+    threads: int = 1,
 ) -> TaskRecord:
     """Run a task if it has to be run.
 
@@ -123,6 +124,8 @@ def run_task(
         Iterations between two states that a group stage saves; without it none is saved.
     engine : Engine, optional
         Processes that share a group stage.
+    threads : int
+        That a group stage may use.
 
     Raises
     ------
@@ -152,7 +155,7 @@ def run_task(
             ctx = Context(shape_id=shape or "", rng=make_rng(workspace.seed, shape, step.id), log=log)
             if progress is not None:
                 ctx.progress = progress
-            ctx.engine = engine
+            ctx.engine, ctx.threads = engine, threads
             if every is not None:
                 ctx.checkpoints = Checkpoints(saved.save, every, found.state)
             stage = workspace.registry.load(step.stage).suiting([s for s, p in step.inputs.items() if p is not None])

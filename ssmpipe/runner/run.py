@@ -238,7 +238,7 @@ class _Run:
             self.console.say(
                 f"not all shapes are selected, so group stages are left out: {', '.join(self.chosen.dropped)}"
             )
-        jobs = self.options.jobs or default_jobs()
+        jobs = self.jobs = self.options.jobs or default_jobs()
         report: Path | None = None
         try:
             with self.console, self._batch(jobs) as batch:
@@ -467,7 +467,11 @@ class _Run:
         else:
             every = self.project.config.limits.checkpoint_every
             only = self.workspace.only(ids)
-            self._group_job(batch, Job(only, (step.id,), None, tuple(ids), self.chosen.forced, checkpoint_every=every))
+            threads = 1 if scheduler_of(self.project.config, self.options) else self.jobs  # those of dask are workers
+            job = Job(
+                only, (step.id,), None, tuple(ids), self.chosen.forced, checkpoint_every=every, threads=threads
+            )
+            self._group_job(batch, job)
 
     def _group_job(self, batch: Batch, job: Job) -> None:
         step = self.project.plan.step(job.steps[0])

@@ -287,6 +287,7 @@ def run(
         record=record,
         checkpoints=checkpoints,
         engine=ctx.engine,
+        threads=ctx.threads,
     )
     optimum = result.value
     if result.status == "out-of-iterations":

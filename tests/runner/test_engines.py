@@ -6,6 +6,7 @@ import threading
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,6 +30,22 @@ def test_serial_and_processes_give_the_same_bits_also_when_one_is_killed(tmp_pat
         assert killing.n_killed == 1
         assert engine.bytes_moved > 0
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("n_blocks", [None, 4])
+def test_threads_share_the_work_and_give_the_same_bits(monkeypatch: pytest.MonkeyPatch, n_blocks: int | None) -> None:
+    options = replace(OPTIONS, landmark_blocks=n_blocks)
+    serial = optimized(None, options)
+    used = set()
+    stack = SplineStack.evaluate_some
+
+    def watched(self: SplineStack, *arguments: Any) -> Any:
+        used.add(threading.get_ident())
+        return stack(self, *arguments)
+
+    monkeypatch.setattr(SplineStack, "evaluate_some", watched)
+    assert optimized(None, options, threads=3) == serial
+    assert len(used) > 1
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import json
 import os
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -357,6 +357,27 @@ def test_a_group_stage_that_loses_its_cluster_is_no_failure_of_the_cohort(
     outcome = run_job(Job(workspace, ("total",), None, ("a",)), workspace.scratch / "events", None)
     assert (outcome.lost, outcome.failure) == ("no dask worker has been there for 3 s", None)
     assert not (workspace.out / "cohort").exists()
+
+
+def test_a_group_stage_gets_the_cores_of_the_children(
+    project: Load, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    jobs: list[Job] = []
+    run_all = batch.Batch.run
+
+    def watched(self: batch.Batch, some: Sequence[Job], finished: Any) -> None:
+        jobs.extend(some)
+        run_all(self, some, finished)
+
+    monkeypatch.setattr(batch.Batch, "run", watched)
+    run(options=RunOptions(jobs=3))
+    assert {(job.steps[-1], job.threads) for job in jobs if job.shape is None and not job.prepare} == {("total", 3)}
+    assert {job.threads for job in jobs if job.shape is not None} == {1}
+    contexts = []
+    monkeypatch.setattr(execute, "_call", lambda stage, given, cfg, ctx, prepare: contexts.append(ctx))
+    workspace = make_workspace(project())
+    run_job(Job(workspace, ("total",), None, ("a",), frozenset({"total"}), threads=3), workspace.scratch / "e", None)
+    assert [ctx.threads for ctx in contexts] == [3]
 
 
 def test_old_output_stays_until_the_new_one_is_complete(project: Load, monkeypatch: pytest.MonkeyPatch) -> None:

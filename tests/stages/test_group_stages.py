@@ -104,6 +104,18 @@ def test_tubes_close_and_curves_have_no_faces():
     np.testing.assert_array_equal(out["corresponded"]["c1"].points, c.points_scan[1])
 
 
+def test_the_optimization_gets_the_threads_of_its_context(monkeypatch):
+    def stop(*_, threads, **__):
+        raise InterruptedError(threads)
+
+    monkeypatch.setattr(optimize, "optimize_correspondence", stop)
+    ctx = context()
+    ctx.threads = 3
+    surfaces, transform = cohort()
+    with pytest.raises(InterruptedError, match="3"):
+        optimize.run(surface=surfaces, transform=transform, landmarks=None, cfg=optimize.Config(**SMALL), ctx=ctx)
+
+
 def test_unknown_names_are_refused():
     surfaces, transform = cohort(3)
     with pytest.raises(ConfigError, match="there is no shape 'x' among s0, s1, s2"):

@@ -17,9 +17,9 @@ OPTIONS = EngineOptions(
 )
 
 
-def optimized(engine: Engine | None, options: EngineOptions = OPTIONS) -> dict[str, bytes]:
+def optimized(engine: Engine | None, options: EngineOptions = OPTIONS, threads: int = 1) -> dict[str, bytes]:
     """Return the bits of a small optimization."""
-    result: Result[Optimum] = optimize_correspondence(bumps(5), options, engine=engine)
+    result: Result[Optimum] = optimize_correspondence(bumps(5), options, engine=engine, threads=threads)
     value = result.value
     found = {name: getattr(value, name).tobytes() for name in ("coefficients", "points", "eigenvalues")}
     found |= {name: column.tobytes() for name, column in result.history.items()}

@@ -248,6 +248,7 @@ def optimize_correspondence(
     record: Callable[[dict[str, float]], None] | None = None,
     checkpoints: Checkpoints | None = None,
     engine: Engine | None = None,
+    threads: int = 1,
 ) -> Result[Optimum]:
     """Find the reparameterizations of a cohort that minimize its description length (Li 2015, ch. 2).
 
@@ -266,6 +267,8 @@ def optimize_correspondence(
         without a break. Iterations before that state are not recorded again.
     engine : Engine, optional
         Processes that share the blocks of landmark rows; the result has the same bits as without.
+    threads : int, default=1
+        They share the evaluation, the gradient and the preconditioner; the result has the same bits for any number.
 
     Returns
     -------
@@ -282,14 +285,14 @@ def optimize_correspondence(
     opts = options or EngineOptions()
     if len(splines) < 2:
         raise GeometryError(f"correspondence needs at least two shapes, got {len(splines)}")
-    cohort = _Cohort(splines, opts, guides, engine)
+    cohort = _Cohort(splines, opts, guides, engine, threads)
     rims = cohort.registered_rims()
     opened: Floats | None = None
     if rims is not None and opts.rims == "free":
         window = rims.window(opts.open_edges, opts.max_crop)
         opened = rims.within(window)
         opts = replace(opts, window=window, reference="none")
-        cohort = _Cohort(splines, opts, guides, engine)
+        cohort = _Cohort(splines, opts, guides, engine, threads)
     recorder = _Recorder(record, Journal(checkpoints))
     reparameterization = cohort.space(opts.n_coefficients)
     levels = _levels(reparameterization) if opts.coarse_to_fine else []
@@ -336,9 +339,11 @@ class _Cohort:
         opts: EngineOptions,
         guides: Sequence[Mapping[str, Floats]] | None,
         engine: Engine | None = None,
+        threads: int = 1,
     ) -> None:
         self.splines = splines
         self.engine = engine
+        self.threads = threads
         self.opts = opts
         n_directions = len(splines[0].degrees)
         if not len(opts.n_coefficients) == len(opts.landmarks) == n_directions:
@@ -425,7 +430,7 @@ class _Cohort:
         if self.opts.pose == "each-evaluation" and coefficients is not None:
             target = self._normalized(self.raw.evaluate(space.evaluate(coefficients)).points).mean(axis=0)
         splines = [self._normalized_spline(i) for i in range(len(self.splines))]
-        stack = SplineStack(splines, space.periodic)
+        stack = SplineStack(splines, space.periodic, threads=self.threads)
         weights = landmark_rule(space, self.opts.landmarks, self._quadrature())[1]
         n_blocks = self.opts.landmark_blocks or automatic_blocks(len(splines))
         whole = self.opts.covariance == "II" or target is not None or self.opts.quadrature == "closed-form"
