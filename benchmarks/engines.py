@@ -26,6 +26,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.common import LAMBDA_CUT, head
 from benchmarks.growth import cohort
+from benchmarks.process_engine import ProcessEngine
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.correspondence.covariance import SlopeProduct
 from ssmpipe.core.correspondence.objective import GroupObjective
@@ -36,7 +37,6 @@ from ssmpipe.core.engine import Arrays, Content, Engine
 from ssmpipe.core.optim.interior import DescentOptions, minimize_interior
 from ssmpipe.core.spline.evaluate import Spline, SplineStack
 from ssmpipe.runner.dask_engine import DaskEngine
-from ssmpipe.runner.engines import ProcessEngine
 
 GRID = (51, 51)
 

@@ -283,6 +283,11 @@ def limit_memory(memory_mb: int) -> str:
     return f"children run without limits.memory_mb: {memory_mb} ({reason}); watch the memory, or use fewer --jobs"
 
 
+def may_have_children() -> None:
+    """Let this process start others although it is itself a child that ends with its parent: ours end with theirs, too."""
+    multiprocessing.current_process()._config["daemon"] = False  # type: ignore[attr-defined]
+
+
 def die_with(parent: int) -> None:
     """End this process when its parent is gone: an orphan must not write beside the next run."""
     if platform.system() == "Linux":

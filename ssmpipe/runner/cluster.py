@@ -23,9 +23,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ssmpipe.core.errors import ConfigError
-from ssmpipe.runner.batch import Batch, ClusterAddress, Event, Job, Outcome, one_thread_environment, record_failure
+from ssmpipe.runner.batch import (
+    Batch,
+    ClusterAddress,
+    Event,
+    Job,
+    Outcome,
+    may_have_children,
+    one_thread_environment,
+    record_failure,
+)
 from ssmpipe.runner.disk import DiskError, disk_errors
-from ssmpipe.runner.engines import may_have_children
 from ssmpipe.runner.patience import ClusterLostError, Patience
 
 if TYPE_CHECKING:

@@ -16,12 +16,18 @@ from pathlib import Path
 from typing import Any
 
 from ssmpipe.core.engine import Arrays, Content
-from ssmpipe.runner.engines import RETRIES, EngineError, SharedFolder
+from ssmpipe.core.errors import SsmpipeError
 from ssmpipe.runner.patience import ClusterLostError, Patience
+from ssmpipe.runner.shared_folder import SharedFolder
 
+RETRIES = 3
 _ASK_EVERY_S = 2.0
 _LOOK_EVERY_S = 5.0
 _NO_ANSWER_S = 30.0
+
+
+class EngineError(SsmpipeError):
+    """Processes died again and again."""
 
 
 class Servant:

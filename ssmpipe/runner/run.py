@@ -468,9 +468,7 @@ class _Run:
             every = self.project.config.limits.checkpoint_every
             only = self.workspace.only(ids)
             threads = 1 if scheduler_of(self.project.config, self.options) else self.jobs  # those of dask are workers
-            job = Job(
-                only, (step.id,), None, tuple(ids), self.chosen.forced, checkpoint_every=every, threads=threads
-            )
+            job = Job(only, (step.id,), None, tuple(ids), self.chosen.forced, checkpoint_every=every, threads=threads)
             self._group_job(batch, job)
 
     def _group_job(self, batch: Batch, job: Job) -> None:

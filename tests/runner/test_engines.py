@@ -11,13 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.process_engine import ProcessEngine
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.correspondence.objective import GroupObjective
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
 from ssmpipe.core.correspondence.rows import LandmarkRows, RowSums, _described, automatic_blocks, grams
 from ssmpipe.core.correspondence.spectral import spectral_function
 from ssmpipe.core.spline.evaluate import SplineStack
-from ssmpipe.runner.engines import EngineError, ProcessEngine, SharedFolder
+from ssmpipe.runner.dask_engine import EngineError
+from ssmpipe.runner.shared_folder import SharedFolder
 from tests.support.engines import OPTIONS, Killing, optimized
 from tests.support.surfaces import bumps
 
@@ -138,7 +140,7 @@ def test_answers_of_a_call_that_failed_are_not_taken_for_those_of_the_next(tmp_p
 def test_a_function_that_always_kills_its_process_is_an_error_and_one_that_raises_raises(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ssmpipe.runner.engines.RETRIES", 1)
+    monkeypatch.setattr("benchmarks.process_engine.RETRIES", 1)
     with ProcessEngine(1, tmp_path / "shared") as engine:
         with pytest.raises(EngineError, match="died 2 times"):
             engine.call(_die, [()])

@@ -359,9 +359,7 @@ def test_a_group_stage_that_loses_its_cluster_is_no_failure_of_the_cohort(
     assert not (workspace.out / "cohort").exists()
 
 
-def test_a_group_stage_gets_the_cores_of_the_children(
-    project: Load, run: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_group_stage_gets_the_cores_of_the_children(project: Load, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     jobs: list[Job] = []
     run_all = batch.Batch.run
 

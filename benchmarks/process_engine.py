@@ -1,79 +1,22 @@
-"""Processes of this machine that share the blocks of a group optimization, and the folder of arrays that any engine shares.
+"""An engine of processes of this machine, for comparison: no run uses it, because threads do the same in one memory (docs/scale.md).
 
-Arrays are shared as files in a folder that all processes see. A process that dies is replaced; the calls it had are made again,
-elsewhere, and find nothing in the memory of the process: the functions make it anew from the files.
+It is the smallest engine whose processes may die, so the tests hold the promise of equal bits against it where dask is not installed.
 """
 
 from __future__ import annotations
 
-import hashlib
 import multiprocessing
 import os
 import pickle
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ssmpipe.core.engine import Arrays, Content
-from ssmpipe.core.errors import SsmpipeError
-from ssmpipe.runner.disk import replacing
-
-_KEPT = 2
-RETRIES = 3
-
-
-class EngineError(SsmpipeError):
-    """Processes died again and again."""
-
-
-@dataclass(frozen=True)
-class ArrayFile:
-    """Arrays in a file; read wherever it is called."""
-
-    path: Path
-
-    def __call__(self) -> Arrays:
-        """Return the arrays."""
-        with self.path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
-
-
-class SharedFolder:
-    """Arrays as files named by their digest; the last few are kept."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self._files: list[Path] = []
-
-    def share(self, arrays: Arrays) -> Content:
-        """Write arrays, once."""
-        digest = hashlib.sha256()
-        for name in sorted(arrays):
-            array = np.ascontiguousarray(arrays[name])
-            digest.update(f"{name} {array.dtype.str} {array.shape}".encode())
-            digest.update(array.tobytes())
-        key = digest.hexdigest()
-        path = self.folder / f"{key}.npz"
-        if not path.is_file():
-            with replacing(path) as file:
-                np.savez(file, **arrays)  # type: ignore[arg-type]
-        self._files = [other for other in self._files if other != path] + [path]
-        for old in self._files[:-_KEPT]:
-            old.unlink(missing_ok=True)
-        self._files = self._files[-_KEPT:]
-        return Content(key, ArrayFile(path))
-
-    def clear(self) -> None:
-        """Remove the files."""
-        for path in self._files:
-            path.unlink(missing_ok=True)
-        with suppress(OSError):
-            self.folder.rmdir()
+from ssmpipe.runner.batch import die_with, may_have_children
+from ssmpipe.runner.dask_engine import RETRIES, EngineError
+from ssmpipe.runner.shared_folder import SharedFolder
 
 
 class ProcessEngine:
@@ -195,8 +138,6 @@ class ProcessEngine:
 def _serve(pipe: Connection, parent: int) -> None:
     from threadpoolctl import threadpool_limits
 
-    from ssmpipe.runner.batch import die_with
-
     die_with(parent)
     threadpool_limits(1)
     while True:
@@ -209,8 +150,3 @@ def _serve(pipe: Connection, parent: int) -> None:
         except Exception as error:
             answer = (False, error)
         pipe.send_bytes(pickle.dumps(answer, protocol=5))
-
-
-def may_have_children() -> None:
-    """Let this process start others although it is itself a child that ends with its parent: ours end with theirs, too."""
-    multiprocessing.current_process()._config["daemon"] = False  # type: ignore[attr-defined]
