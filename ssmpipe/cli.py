@@ -319,14 +319,17 @@ def status(config: Path, overrides: tuple[str, ...], as_json: bool) -> None:
 def check(config: Path, overrides: tuple[str, ...], jobs: int | None) -> None:
     """Validate the config and every scan before any work."""
     with _errors(_debug()):
-        from ssmpipe.runner.check import check_project, print_checks
+        from ssmpipe.runner.check import check_output, check_project, print_checks
         from ssmpipe.runner.console import Console
 
         project = _load(config, overrides)
         console = Console()
         checks = check_project(project, jobs)
         print_checks(checks, project, console)
-    sys.exit(3 if any(c.error for c in checks) else 0)
+        problem = check_output(project)
+        if problem:
+            console.error(problem)
+    sys.exit(2 if problem else 3 if any(c.error for c in checks) else 0)
 
 
 @main.command()

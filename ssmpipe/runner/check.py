@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from ssmpipe.core.errors import SsmpipeError
 from ssmpipe.runner.batch import one_thread_environment, start_child
 from ssmpipe.runner.config import Project
+from ssmpipe.runner.disk import unwritable
 from ssmpipe.runner.estimate import estimate_plan
 from ssmpipe.runner.execute import rehearse
 from ssmpipe.runner.plan import PlannedStep
@@ -214,6 +215,16 @@ def check_project(project: Project, jobs: int | None = None) -> list[ScanCheck]:
                         replace(plain, error="the process crashed; try: open and export the scan in a mesh viewer")
                     )
     return checks
+
+
+def check_output(project: Project) -> str:
+    """Return why the results could not be written, with a remedy; empty when they can."""
+    out = project.out
+    for folder in (out, *(out / name for name in ("shapes", "cohort") if (out / name).exists())):
+        reason = unwritable(folder)
+        if reason:
+            return f"output: nothing can be written to {folder} ({reason}); try: free space, check permissions, or change `output`"
+    return ""
 
 
 def print_checks(checks: Sequence[ScanCheck], project: Project, console: Console) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -61,6 +62,24 @@ def replacing(path: Path, mode: int | None = None) -> Iterator[IO[bytes]]:
             os.replace(aside, path)
         finally:
             aside.unlink(missing_ok=True)
+
+
+def unwritable(folder: Path) -> str:
+    """Return why nothing can be written into a folder, or an empty text; nothing is left behind.
+
+    A folder that does not exist is looked for upwards: it would be made in the first that does.
+    """
+    place = folder
+    while not os.path.lexists(place) and place != place.parent:
+        place = place.parent
+    try:
+        with tempfile.TemporaryFile(dir=place) as file:
+            file.write(bytes(4096))
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        return f"{place}: {error.strerror or error}"
+    return ""
 
 
 def flush(path: Path) -> None:

@@ -235,6 +235,10 @@ def test_check_table(call: Call, scans: Path, tmp_path: Path, write_config: Call
     for name in "cd":
         (scans / f"{name}.ply").unlink()
     assert call("check", config).exit_code == 0
+    (config.parent / "file").write_text("")
+    result = call("check", config, "--set", f"output={config.parent / 'file' / 'out'}")
+    assert result.exit_code == 2
+    assert "output: nothing can be written to" in result.stderr
     result = call("check", config, "--set", "stages.grow.refuse=[a]")
     assert (result.exit_code, "1 of 2 scans can be used" in result.output) == (3, True)
     assert "refused: a, a.ply: grow: the mesh has 2 components; try: keep the largest" in result.output

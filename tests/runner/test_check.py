@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
+import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.io.meshes import write_mesh
-from ssmpipe.runner.check import ScanCheck, check_project, inspect, print_checks
+from ssmpipe.runner.check import ScanCheck, check_output, check_project, inspect, print_checks
 from ssmpipe.runner.config import Project
 from ssmpipe.runner.console import Console
 from ssmpipe.runner.run import RunOptions, RunResult
@@ -54,6 +58,37 @@ def test_nothing_is_written_and_no_bug_ends_it(project: Load, tmp_path: Path) ->
     assert found["a"] == "internal error ZeroDivisionError: oops"
     assert found["b"] == ""
     assert not (tmp_path / "out").exists()
+
+
+def test_an_output_folder_that_cannot_be_written_is_told(
+    project: Load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loaded = project()
+    before = sorted(tmp_path.rglob("*"))
+    assert check_output(loaded) == ""
+    assert sorted(tmp_path.rglob("*")) == before
+    (tmp_path / "in the way").write_text("")
+    inside = replace(loaded, out=tmp_path / "in the way" / "out")
+    assert "in the way: Not a directory); try: free space, check permissions, or change `output`" in check_output(
+        inside
+    )
+    (loaded.out / "cohort").mkdir(parents=True)
+    make = tempfile.TemporaryFile
+
+    def read_only(dir: Path) -> Any:
+        if dir == loaded.out / "cohort":
+            raise OSError(errno.EROFS, "Read-only file system")
+        return make(dir=dir)
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", read_only)
+    assert check_output(loaded).startswith(f"output: nothing can be written to {loaded.out / 'cohort'}")
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write everywhere")
+def test_permissions_of_the_output_folder_count(project: Load) -> None:
+    loaded = project()
+    loaded.out.mkdir(mode=0o500)
+    assert "Permission denied" in check_output(loaded)
 
 
 def test_a_role_without_its_landmark(tmp_path: Path, project: Load) -> None:
