@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -12,12 +13,18 @@ from pathlib import Path
 
 import pytest
 
+from ssmpipe.runner import batch, disk, execute
+from ssmpipe.runner.run import default_jobs
 from tests.support.toys import TOY, scans, write_config  # noqa: F401
 
 ELSEWHERE = """
 import platform, signal, sys
 sys.modules["resource"] = None
 sys.modules["fcntl"] = None
+import os
+for name in ("sched_getaffinity", "sysconf", "geteuid", "getuid"):
+    if hasattr(os, name):
+        delattr(os, name)
 platform.system = lambda: "Elsewhere"
 if hasattr(signal, "pthread_sigmask"):
     del signal.pthread_sigmask
@@ -99,3 +106,50 @@ def test_children_end_with_their_parent(
     while alive() and time.monotonic() < deadline + 30:
         time.sleep(0.2)
     assert alive() == 0
+
+
+def test_windows_has_no_tracker_to_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    tracker = pytest.importorskip("multiprocessing.resource_tracker")
+    started: list[str | None] = []
+    monkeypatch.setattr(tracker, "ensure_running", lambda: started.append(os.environ["PYTHONWARNINGS"]))
+    monkeypatch.setenv("PYTHONWARNINGS", "error")
+    batch.quiet_tracker()
+    assert started == ["error,ignore:resource_tracker:UserWarning"]
+    assert os.environ["PYTHONWARNINGS"] == "error"
+    monkeypatch.setattr(sys, "platform", "win32")
+    batch.quiet_tracker()
+    assert len(started) == 1
+
+
+def test_what_a_system_does_not_tell_is_left_out(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delattr(os, "sched_getaffinity", raising=False)
+    monkeypatch.setattr(os, "cpu_count", lambda: 3)
+    assert default_jobs() == 3
+    monkeypatch.setattr(os, "cpu_count", lambda: None)
+    assert default_jobs() == 1
+    monkeypatch.setitem(sys.modules, "resource", None)
+    monkeypatch.setattr(execute, "Path", lambda text: tmp_path / "nothing" / text.lstrip("/"))
+    assert execute.peak_rss_mb() is None
+    execute._reset_peak()
+    pool = batch.Batch(1, tmp_path)
+    monkeypatch.setattr(batch, "Path", lambda text: tmp_path / "nothing" / text.lstrip("/"))
+    monkeypatch.delattr(os, "sysconf", raising=False)
+    pool._watch_memory()
+    assert pool.peak_rss_mb == 0
+    assert batch.limit_memory(1000).endswith("(this system has no such limit); watch the memory, or use fewer --jobs")
+    assert batch._exit_text(-9999) == "signal 9999"
+    assert batch._exit_text(0xC0000005) == "exit code 3221225477"  # how Windows names an access violation
+    monkeypatch.delattr(signal, "pthread_sigmask", raising=False)
+    with batch.interrupts_for_parent():
+        pass
+
+
+def test_a_folder_is_not_flushed_where_it_cannot_be(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    flushed = []
+    monkeypatch.setattr(disk, "_WINDOWS", True)
+    monkeypatch.setattr(os, "fsync", flushed.append)
+    disk.flush(tmp_path)
+    assert flushed == []
+    disk.flush(tmp_path / "file")
+    assert len(flushed) == 1

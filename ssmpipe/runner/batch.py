@@ -12,6 +12,7 @@ import multiprocessing
 import os
 import platform
 import signal
+import sys
 import threading
 import time
 import traceback
@@ -327,15 +328,30 @@ def one_thread_environment() -> Iterator[None]:
                 os.environ[name] = value
 
 
+def quiet_tracker() -> None:
+    """Start the process that clears up behind a killed run; it does so in silence, there is nothing to be done about it."""
+    if sys.platform == "win32":  # it has none: the kernel clears up
+        return
+    from multiprocessing.resource_tracker import ensure_running
+
+    old = os.environ.get("PYTHONWARNINGS")
+    os.environ["PYTHONWARNINGS"] = ",".join(filter(None, (old, "ignore:resource_tracker:UserWarning")))
+    try:
+        ensure_running()
+    finally:
+        if old is None:
+            del os.environ["PYTHONWARNINGS"]
+        else:
+            os.environ["PYTHONWARNINGS"] = old
+
+
 @contextmanager
 def interrupts_for_parent() -> Iterator[None]:
     """Let children that are started here inherit a blocked Ctrl-C: a terminal sends it to all, the parent answers for them."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
-    from multiprocessing.resource_tracker import ensure_running
-
-    ensure_running()  # when it starts later, it unblocks the signal
+    quiet_tracker()  # when it starts later, it unblocks the signal
     old, handler, held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}), signal.getsignal(signal.SIGINT), []
     # a library's thread may still take the signal: then, too, it waits until no child is half started
     waits = callable(handler) and threading.current_thread() is threading.main_thread()
@@ -414,6 +430,7 @@ class Batch:
 
                 self.scratch.mkdir(parents=True, exist_ok=True)
                 noise = str(self.scratch / "libraries.txt")
+                quiet_tracker()
                 self._pool = ProcessPool(
                     max_workers=self.jobs,
                     initializer=start_child,
@@ -487,6 +504,8 @@ class Batch:
 
     def _watch_memory(self) -> None:
         """Note the largest resident memory of parent and children together [MB], on Linux."""
+        if not hasattr(os, "sysconf"):  # Windows
+            return
         total = 0
         for pid in (os.getpid(), *(child.pid for child in multiprocessing.active_children())):
             try:

@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from ssmpipe.core.errors import SsmpipeError
-from ssmpipe.runner.batch import one_thread_environment, start_child
+from ssmpipe.runner.batch import one_thread_environment, quiet_tracker, start_child
 from ssmpipe.runner.config import Project
 from ssmpipe.runner.disk import unwritable
 from ssmpipe.runner.estimate import estimate_plan
@@ -193,6 +193,7 @@ def check_project(project: Project, jobs: int | None = None) -> list[ScanCheck]:
     chain = (project.plan.steps, project.registry, project.config.seed)
     checks: list[ScanCheck] = []
     with TemporaryDirectory(prefix="ssmpipe-") as noise, one_thread_environment():
+        quiet_tracker()
         pool: Any = ProcessPool(
             max_workers=n,
             initializer=start_child,

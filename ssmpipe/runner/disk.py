@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
+_WINDOWS = os.name == "nt"
+
 
 class DiskError(OSError):
     """The output folder cannot be written: nothing a stage or a patient is to blame for."""
@@ -84,9 +86,9 @@ def unwritable(folder: Path) -> str:
 
 def flush(path: Path) -> None:
     """Make sure that a file, or the entries of a folder, are on the disk."""
-    if os.name == "nt" and path.is_dir():
+    if _WINDOWS and path.is_dir():
         return
-    handle = os.open(path, os.O_RDONLY if os.name != "nt" else os.O_RDWR)
+    handle = os.open(path, os.O_RDWR if _WINDOWS else os.O_RDONLY)
     try:
         os.fsync(handle)
     finally:

@@ -26,6 +26,20 @@ def data(out: Path) -> dict[str, bytes]:
     }
 
 
+def test_a_killed_run_leaves_no_chatter_behind(write_config: Callable[..., Path]) -> None:
+    config = write_config(stages=[{"grow": {"hang": ["a"]}}, "total"])
+    out = config.parent / "out"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "ssmpipe.cli", "run", str(config), "-q", "-j", "2"],
+        env={**os.environ, "SSMPIPE_STAGES": str(TOY)}, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    deadline = time.monotonic() + 60
+    while not (out / "shapes/d/01-grow").exists() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.kill()
+    assert process.communicate(timeout=60)[1] == ""  # ends with the last process that could say something
+
+
 @pytest.mark.parametrize("n_kills", [4, pytest.param(60, marks=pytest.mark.slow)])
 def test_kill_at_random_moments(n_kills: int, write_config: Callable[..., Path]) -> None:
     config = write_config(stages=["grow", {"shift": {"noise": 0.1}}, "total"])
