@@ -1,4 +1,5 @@
-"""The group optimization on every engine: time per iteration, bytes moved, identical result; and what an engine costs by itself.
+"""The group optimization serial, on threads and on every engine: time per iteration, bytes moved, identical result; and what an engine
+costs by itself.
 
 51 x 51 landmarks, 8 x 8 coefficients, rows in four blocks. The iterations are those of the solver, the preconditioner (built here, every
 tenth iteration) included. Overhead: the messages of one iteration, of the same size, with nothing computed.
@@ -72,6 +73,7 @@ def engines(folder: Path) -> Iterator[dict[str, Engine | None]]:
         client.run(one_thread)
         yield {
             "serial": None,
+            "2 threads": None,
             "2 processes": Counting(two),
             "dask, 2 local workers": Counting(DaskEngine(client, folder / "b")),
         }
@@ -82,8 +84,8 @@ def one_thread() -> None:
     threadpool_limits(1)
 
 
-def objective(splines: list[Spline], engine: Engine | None) -> GroupObjective:
-    stack, space = SplineStack(splines), Reparameterization((8, 8), GRID)
+def objective(splines: list[Spline], engine: Engine | None, threads: int) -> GroupObjective:
+    stack, space = SplineStack(splines, threads=threads), Reparameterization((8, 8), GRID)
     weights = np.full(GRID[0] * GRID[1], 1 / (GRID[0] * GRID[1]))
     return GroupObjective(
         stack,
@@ -97,7 +99,7 @@ def objective(splines: list[Spline], engine: Engine | None) -> GroupObjective:
 
 
 def measure(name: str, splines: list[Spline], engine: Engine | None, iterations: int) -> str:
-    f = objective(splines, engine)
+    f = objective(splines, engine, threads=2 if name == "2 threads" else 1)
     x = f.start()
     f.value_and_gradient(x)  # files, first call
     before = engine.bytes if isinstance(engine, Counting) else 0
