@@ -60,8 +60,9 @@ def map_blocks(function: Callable[[slice], T], n: int, size: int, threads: int =
     try:
         work()
     finally:
-        wait(helpers)
-    for helper in helpers:
+        busy = [helper for helper in helpers if not helper.cancel()]  # who has not woken up yet is not waited for
+        wait(busy)
+    for helper in busy:
         helper.result()
     return [out[k] for k in range(len(slices))]
 

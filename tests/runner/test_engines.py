@@ -38,7 +38,7 @@ def test_serial_and_processes_give_the_same_bits_also_when_one_is_killed(tmp_pat
 def test_threads_share_the_work_and_give_the_same_bits(monkeypatch: pytest.MonkeyPatch, n_blocks: int | None) -> None:
     options = replace(OPTIONS, landmark_blocks=n_blocks)
     serial = optimized(None, options)
-    used = set()
+    used: set[int] = set()
     stack = SplineStack.evaluate_some
 
     def watched(self: SplineStack, *arguments: Any) -> Any:
@@ -46,6 +46,9 @@ def test_threads_share_the_work_and_give_the_same_bits(monkeypatch: pytest.Monke
         return stack(self, *arguments)
 
     monkeypatch.setattr(SplineStack, "evaluate_some", watched)
+    assert optimized(None, options, threads=3) == serial
+    assert len(used) == 1, "five shapes are too few"
+    monkeypatch.setattr("ssmpipe.core.correspondence.optimize.THREADS_FROM", 5)
     assert optimized(None, options, threads=3) == serial
     assert len(used) > 1
 

@@ -240,6 +240,10 @@ def automatic_lambda_cut(size: float) -> float:
     return (size / 1000.0) ** 2
 
 
+THREADS_FROM = 32
+"""Number of shapes from which threads are used: with fewer, a busy machine takes longer to wake them than the work takes."""
+
+
 def optimize_correspondence(
     splines: Sequence[Spline],
     options: EngineOptions | None = None,
@@ -268,7 +272,8 @@ def optimize_correspondence(
     engine : Engine, optional
         Processes that share the blocks of landmark rows; the result has the same bits as without.
     threads : int, default=1
-        They share the evaluation, the gradient and the preconditioner; the result has the same bits for any number.
+        They share the evaluation, the gradient and the preconditioner of 32 shapes or more; the result has the same bits for any
+        number.
 
     Returns
     -------
@@ -343,7 +348,7 @@ class _Cohort:
     ) -> None:
         self.splines = splines
         self.engine = engine
-        self.threads = threads
+        self.threads = threads if len(splines) >= THREADS_FROM else 1
         self.opts = opts
         n_directions = len(splines[0].degrees)
         if not len(opts.n_coefficients) == len(opts.landmarks) == n_directions:
