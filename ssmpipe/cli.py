@@ -219,7 +219,11 @@ class _Part(click.ParamType):
     help="Run although up to date: one stage, or all.",
 )
 @click.option(
-    "-j", "--jobs", type=click.IntRange(1), metavar="N", help="Child processes.  [default: processors, at most 8]"
+    "-j",
+    "--jobs",
+    type=click.IntRange(1),
+    metavar="N",
+    help="Child processes; in the group optimization, threads.  [default: processors, at most 8]",
 )
 @click.option(
     "--part",
