@@ -231,7 +231,7 @@ def _better_image(
 STAGE = Stage(
     name="align",
     scope="shape",
-    version=4,
+    version=5,
     config=Config,
     run=run,
     inputs=(

@@ -60,7 +60,7 @@ def run(mesh: TriMesh, *, cfg: Config, ctx: Context) -> dict[str, Any]:
 STAGE = Stage(
     name="decimate",
     scope="shape",
-    version=1,
+    version=2,
     config=Config,
     run=run,
     inputs=(Port("mesh", "trimesh"),),

@@ -151,7 +151,7 @@ def _transfer(
 STAGE = Stage(
     name="evaluate",
     scope="cohort",
-    version=2,
+    version=3,
     config=Config,
     run=run,
     inputs=(

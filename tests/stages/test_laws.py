@@ -10,7 +10,6 @@ from scipy.spatial import cKDTree
 
 from ssmpipe.contract import Context
 from ssmpipe.core.align.rigid import apply, reflection
-from ssmpipe.core.mesh.distance import surface_deviation
 from ssmpipe.core.mesh.operators import volume
 from ssmpipe.core.mesh.primitives import sphere, star_shape
 from ssmpipe.core.mesh.topology import boundary_loops, compact, euler_characteristic
@@ -37,6 +36,9 @@ def holed() -> TriMesh:
 
 
 CASES = {
+    "decimate": (decimate, {"n_faces": 1500}, star_shape(4)),
+    "decimate and keep the boundary": (decimate, {"n_faces": 1500, "keep_boundary": True}, bent_tube(40, 51)),
+    "decimate by qslim": (decimate, {"n_faces": 1500, "method": "qslim"}, star_shape(4)),
     "repair": (repair, {}, hurt()),
     "fill-holes": (fill_holes, {"keep_openings": 2}, holed()),
     "trim both ends": (trim, {"ends": 2}, bent_tube(40, 51)),
@@ -76,23 +78,12 @@ def test_stages_commute_with_pose_side_and_numbering(name, way):
     assert volume(found) == pytest.approx(volume(expected), rel=1e-9)
 
 
-@pytest.mark.parametrize("way", ["motion", "order", "mirror"])
-def test_decimation_moves_the_surface_no_farther_in_another_pose(way):
-    # equal errors are collapsed in another order: not the same triangles, but the same surface within its error
-    mesh = star_shape(4)
-    expected = go(decimate, mesh, {"n_faces": 1500})
-    other, matrix = changed(mesh, way)
-    back = go(decimate, other, {"n_faces": 1500})
-    back = TriMesh(apply(np.linalg.inv(matrix), back.vertices), back.faces)
-    one, two = (surface_deviation(m, mesh, 5000) for m in (expected, back))
-    assert back.n_faces == expected.n_faces
-    assert two.rms == pytest.approx(one.rms, rel=0.15)
-    assert surface_deviation(back, expected, 5000).rms < 2 * one.rms
-
-
 def test_each_stage_keeps_the_euler_characteristic_that_it_should():
     after = {name: go(stage, mesh, options) for name, (stage, options, mesh) in CASES.items()}
     assert {name: euler_characteristic(mesh.faces) for name, mesh in after.items()} == {
+        "decimate": 2,
+        "decimate and keep the boundary": 0,
+        "decimate by qslim": 2,
         "repair": 2,
         "fill-holes": 0,
         "trim both ends": 0,

@@ -8,6 +8,7 @@ import igl
 import numpy as np
 
 from ssmpipe.core.arrays import Floats, Ints
+from ssmpipe.core.mesh.numbering import canonical_order
 from ssmpipe.core.mesh.operators import face_areas, face_normals
 from ssmpipe.core.mesh.trimesh import TriMesh
 
@@ -102,20 +103,28 @@ def interpolate(values: Floats, mesh: TriMesh, face_index: Ints, barycentric: Fl
 
 
 def sample_surface(mesh: TriMesh, n_points: int, seed: int = 0) -> tuple[Floats, Ints, Floats]:
-    """Spread points over a surface, uniformly in area, the same ones for the same mesh and seed.
+    """Spread points over a surface, uniformly in area, the same ones for the same surface and seed.
 
-    Stratified in the cumulative area of the faces, so that the counts per region vary less than with independent draws.
+    Stratified in the cumulative area of the faces, so that the counts per region vary less than with independent draws. Faces and
+    their corners are taken in their canonical order: the points move along with the surface, into its mirror image too, and do
+    not depend on the order in the file.
 
     Returns
     -------
     points : (n_points, 3), face_index : (n_points,), barycentric : (n_points, 3)
     """
     rng = np.random.default_rng(seed)
-    cumulative = np.cumsum(face_areas(mesh))
+    vertices, faces = canonical_order(mesh)
+    cumulative = np.cumsum(face_areas(mesh)[faces])
     at = (np.arange(n_points) + rng.random(n_points)) / n_points * cumulative[-1]
-    face = np.minimum(np.searchsorted(cumulative, at, side="right"), mesh.n_faces - 1)
+    face = faces[np.minimum(np.searchsorted(cumulative, at, side="right"), mesh.n_faces - 1)]
     r, s = np.sqrt(rng.random(n_points)), rng.random(n_points)
-    weights = np.column_stack([1.0 - r, r * (1.0 - s), r * s])
+    rank = np.empty(mesh.n_vertices, dtype=np.int64)
+    rank[vertices] = np.arange(mesh.n_vertices)
+    weights = np.empty((n_points, 3))
+    np.put_along_axis(
+        weights, np.argsort(rank[mesh.faces[face]], axis=1), np.column_stack([1.0 - r, r * (1.0 - s), r * s]), axis=1
+    )
     return np.einsum("nk,nkd->nd", weights, mesh.vertices[mesh.faces[face]]), face, weights
 
 

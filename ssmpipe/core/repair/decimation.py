@@ -10,6 +10,7 @@ import igl
 import numpy as np
 
 from ssmpipe.core.errors import TopologyError
+from ssmpipe.core.mesh.numbering import canonical
 from ssmpipe.core.mesh.topology import boundary_loops, compact, euler_characteristic, face_components, is_manifold
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.repair.pymeshlab_filter import pymeshlab_filter
@@ -30,6 +31,9 @@ def decimate(
     mesh: TriMesh, n_faces: int, *, keep_boundary: bool = False, method: Method = "fast-simplification"
 ) -> Decimated:
     """Reduce a mesh to about ``n_faces`` faces by quadric error edge collapse (Garland and Heckbert 1997).
+
+    Edges of equal error are collapsed in the order in which they come, so the mesh is numbered canonically before: pose, side and
+    order in the file change nothing.
 
     The fast collapse does not watch topology, so its result is checked; when it differs, the collapse of libigl, which
     refuses moves that break the manifold, takes over.
@@ -58,6 +62,12 @@ def decimate(
     """
     if mesh.n_faces <= n_faces:
         return Decimated(mesh, "none")
+    numbered, turned = canonical(mesh)
+    found = _decimate(numbered, n_faces, keep_boundary, method)
+    return Decimated(TriMesh(found.mesh.vertices, found.mesh.faces[:, [0, 2, 1]]), found.method) if turned else found
+
+
+def _decimate(mesh: TriMesh, n_faces: int, keep_boundary: bool, method: Method) -> Decimated:
     wanted = _topology(mesh)
     if method != "qslim":
         result = _fast(mesh, n_faces, keep_boundary) if method == "fast-simplification" else _pymeshlab(mesh, n_faces)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ssmpipe.core.align.rigid import move
+from ssmpipe.core.align.rigid import apply, move, reflection
 from ssmpipe.core.mesh.distance import (
     barycentric_coordinates,
     interpolate,
@@ -14,7 +14,7 @@ from ssmpipe.core.mesh.distance import (
 from ssmpipe.core.mesh.operators import surface_centroid, surface_covariance
 from ssmpipe.core.mesh.primitives import flat_square, sphere, star_shape
 from ssmpipe.core.mesh.sections import section_areas
-from tests.support.meshes import random_motion
+from tests.support.meshes import random_motion, relabeled
 
 
 def test_distance_to_a_plane_is_the_height_and_places_are_found():
@@ -55,6 +55,16 @@ def test_samples_are_uniform_in_area():
     assert weights.min() >= 0
     assert points.mean(axis=0) == pytest.approx(surface_centroid(lump), abs=0.3)
     assert np.cov(points.T) == pytest.approx(surface_covariance(lump), rel=0.03, abs=5)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_samples_go_along_with_the_surface(mirrored: bool):
+    lump, rng = star_shape(3), np.random.default_rng(2)
+    motion = random_motion(rng) @ (reflection(0) if mirrored else np.eye(4))
+    other = relabeled(move(lump, motion), rng)[0]
+    points, face, weights = sample_surface(other, 3000)
+    assert np.abs(points - apply(motion, sample_surface(lump, 3000)[0])).max() < 1e-10
+    assert interpolate(other.vertices, other, face, weights) == pytest.approx(points)
 
 
 def test_degenerate_triangles_do_not_break_barycentrics():
