@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from ssmpipe.contract import NamesShape, Stage
 from ssmpipe.core.errors import ConfigError, SsmpipeError
+from ssmpipe.runner.advice import advise
 from ssmpipe.runner.document import Document, Loc, parse_value, read_document
 from ssmpipe.runner.fingerprint import file_digest
 from ssmpipe.runner.plan import Plan, PlanError, Step, make_plan
@@ -283,6 +284,7 @@ def load_project(path: Path, overrides: Sequence[str] = (), registry: Registry |
             *warnings,
             *_too_few(config, plan, document, len(sources)),
             *_idle_roles(config, plan, document, registry),
+            *_advice(config, plan, document, entries, sources),
         ),
         registry=registry,
     )
@@ -298,6 +300,15 @@ def _too_few(config: RunConfig, plan: Plan, document: Document, n: int) -> list[
         f"{config.min_shapes} (min_shapes); {', '.join(blocked)} will not be run; add scans"
         + (", or lower min_shapes" if n >= 2 else "")
     ]
+
+
+def _advice(
+    config: RunConfig, plan: Plan, document: Document, entries: Sequence[_Entry], sources: Sequence[Source]
+) -> list[str]:
+    """Return a warning for what the chain leaves out of account."""
+    places = {entry.id: entry.loc for entry in entries}
+    remarks = advise(plan, [source.side for source in sources], config.input.roles)
+    return [f"{document.where(places[step])}: {step}: {text}" for step, text in remarks]
 
 
 def _unknown_shapes(

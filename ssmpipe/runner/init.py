@@ -6,14 +6,15 @@ import json
 import os
 import re
 from collections import Counter
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from ssmpipe.core.errors import ConfigError
+from ssmpipe.core.errors import ConfigError, SsmpipeError
 from ssmpipe.runner.config import variant_stages
 from ssmpipe.runner.disk import write_atomically
 from ssmpipe.runner.presets import Preset, find_preset
 from ssmpipe.runner.registry import Registry
-from ssmpipe.runner.sources import IMAGE_SUFFIXES, KINDS, OUTLINE_SUFFIXES, by_id, scan_files
+from ssmpipe.runner.sources import IMAGE_SUFFIXES, KINDS, OUTLINE_SUFFIXES, SIDES, by_id, scan_files
 
 
 def write_config(
@@ -46,11 +47,17 @@ def write_config(
     landmarks = _beside(scans_dir, ("landmarks.json", "landmarks.csv"))
     base = target.resolve().parent
     named = [None if path is None else _relative(path, base) for path in (cohort, landmarks)]
-    text = _text(preset, target.stem, _relative(scans, base), *named) + _stages(preset, registry)
+    mirror = _has_both_sides(cohort, files) and not preset.needs_side
+    changes = {"orient": {"mirror": "left"}} if mirror and "orient" in dict(preset.stages) else {}
+    text = _text(preset, target.stem, _relative(scans, base), *named) + _stages(preset, registry, changes)
     write_atomically(target, text)
     lines = [f"{len(files)} scans in {scans_dir}; config written to {target}"]
     if cohort is None and preset.needs_side:
         lines.append("no cohort.csv beside the scans: left and right cannot be told apart until input.cohort is given")
+    if changes:
+        lines.append(
+            f"{cohort} has left and right shapes: orient.mirror is set to left, so that they become comparable"
+        )
     if landmarks is None:
         lines.append("no landmarks.json beside the scans: geometry decides where a step could use a landmark")
     return [*lines, f"next: ssmpipe check {target}, then ssmpipe run {target}"]
@@ -66,6 +73,19 @@ def _beside(scans_dir: Path, names: tuple[str, ...]) -> Path | None:
             if (folder / name).is_file():
                 return folder / name
     return None
+
+
+def _has_both_sides(cohort: Path | None, ids: Iterable[str]) -> bool:
+    """Say whether a cohort table calls some of these shapes left and some right; what is wrong with it is told by `check`."""
+    from ssmpipe.io.tables import read_cohort
+
+    if cohort is None:
+        return False
+    try:
+        table = read_cohort(cohort)
+    except SsmpipeError:
+        return False
+    return {"L", "R"} <= {SIDES.get(table.get(i, {}).get("side", "").strip().lower()) for i in ids}
 
 
 def _relative(path: Path, base: Path) -> str:
@@ -105,7 +125,8 @@ def _text(preset: Preset, name: str, scans: str, cohort: str | None, landmarks: 
     )
 
 
-def _stages(preset: Preset, registry: Registry) -> str:
+def _stages(preset: Preset, registry: Registry, changes: Mapping[str, Mapping[str, str]]) -> str:
+    """Return the chain as comments; only what ``changes`` the preset's options, by stage, counts."""
     lines = [
         "",
         "# The chain of this anatomy with its defaults. Remove the # of a stage and of the options to change.",
@@ -115,13 +136,19 @@ def _stages(preset: Preset, registry: Registry) -> str:
     names = [name for name, _ in preset.stages if name in known]
     chain = variant_stages(names, KINDS["outline" if preset.topology == "curve" else "mesh"], registry)
     for name, options in preset.stages:
-        lines.append(f"#  - {name}:" + (f"  # {registry.summary(name)}" if name in known else "  # not installed"))
+        changed = changes.get(name, {})
+        lines.append(
+            f"{'' if changed else '#'}  - {name}:"
+            + (f"  # {registry.summary(name)}" if name in known else "  # not installed")
+        )
         if name not in known:
             continue
         for key, field in chain[name].config.model_fields.items():
-            default = options.get(key, field.get_default(call_default_factory=True))
+            default = changed.get(key, options.get(key, field.get_default(call_default_factory=True)))
             value = json.dumps(
                 list(default) if isinstance(default, tuple) else default, default=str, ensure_ascii=False
             )
-            lines.append(f"#      {f'{key}: {value}':<36} # {field.description or ''}".rstrip())
+            lines.append(
+                f"{'' if key in changed else '#'}      {f'{key}: {value}':<36} # {field.description or ''}".rstrip()
+            )
     return "\n".join(lines) + "\n"

@@ -31,7 +31,8 @@ KINDS: Mapping[str, Mapping[str, str]] = {
     "image": {"image": "image", **_COMMON},
     "spline": {"surface": "surface", **_COMMON},
 }
-_SIDES = {"l": "L", "left": "L", "r": "R", "right": "R", "": None}
+SIDES = {"l": "L", "left": "L", "r": "R", "right": "R", "": None}
+"""What a column `side` may say, in small letters."""
 
 
 @dataclass(frozen=True)
@@ -310,7 +311,7 @@ def find_sources(
                 f"{shape_id}: no row in the cohort table{_similar(shape_id, cohort)}; add one, or its side and group stay unknown"
             )
         text = row.pop("side", "").strip()
-        if text.lower() not in _SIDES:
+        if text.lower() not in SIDES:
             raise ConfigError(f"cohort table, shape '{shape_id}': side is '{text}'", "write L or R")
         row.pop("path", None)
         points = (landmarks or {}).get(shape_id)
@@ -321,7 +322,7 @@ def find_sources(
             )
         plain = None if points is None else {name: tuple(float(x) for x in p) for name, p in points.items()}
         sources.append(
-            Source(shape_id, files[shape_id], landmarks=plain, side=_SIDES[text.lower()], columns=row, **common)
+            Source(shape_id, files[shape_id], landmarks=plain, side=SIDES[text.lower()], columns=row, **common)
         )
     for name, table in (("cohort table", cohort), ("landmark file", landmarks)):
         extra = sorted(set(table or {}) - set(files))

@@ -24,6 +24,8 @@ GROUP_FACES = 60_000
 """Faces of the reference that `group` makes: the shapes are decimated to their shares of it [count]."""
 # of the reference's size and radius; bones and organs of one kind stay below 1.6 and 0.13
 _STRANGE_SCALE, _STRANGE_SHARE = 2.5, 0.2
+_TURNED_DEG = 20.0
+"""Shapes of one cohort in one anatomical frame are turned by less."""
 
 
 class Config(StageConfig):
@@ -48,6 +50,13 @@ class Config(StageConfig):
     n_points: Annotated[int, Field(ge=200, description="Points per surface that are matched [count].")] = 5000
     check_mirror: Annotated[
         bool, Field(description="Warn when the mirror image fits clearly better (a wrong side label).")
+    ] = True
+    check_frame: Annotated[
+        bool,
+        Field(
+            description="Warn when a shape had to be turned far out of the pose that orient gave it; principal axes and boxes do not "
+            "tell one end from the other, so there that says nothing."
+        ),
     ] = True
     chirality: Annotated[
         Literal["keep", "best-fit"],
@@ -155,13 +164,16 @@ def run(
         ctx.warn(
             f"alignment stopped after {result.n_iterations} iterations before it settled; check the overlay in the report"
         )
-    if result.start != "identity" and cfg.chirality == "keep":
+    turned = rotation_angle(result.matrix)
+    if cfg.check_frame and result.start != "identity" and cfg.chirality == "keep" and turned > _TURNED_DEG:
         ctx.warn(
             f"the pose given by orient was replaced (start {result.start}: distance {result.cost:.3g} instead of "
-            f"{result.identity_cost:.3g}, turned {rotation_angle(result.matrix):.0f} degrees); check the frame of this shape"
+            f"{result.identity_cost:.3g}, turned {turned:.0f} degrees); check the frame of this shape"
         )
     if cfg.check_mirror and cfg.chirality == "keep":
-        better, mirrored = fits_better_mirrored(mesh, reference, result, region=region, ball=ball)
+        better, mirrored = fits_better_mirrored(
+            mesh, reference, result, n_points=cfg.n_points, region=region, ball=ball
+        )
         ctx.metric("mirrored_cost_mm", mirrored)
         if better:
             ctx.warn(

@@ -18,6 +18,7 @@ from click.testing import CliRunner, Result
 from ssmpipe.cli import main
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.io.meshes import write_mesh
+from ssmpipe.runner.config import load_project
 from ssmpipe.runner.lock import locked
 from tests.support.toys import TOY, tetrahedron
 
@@ -206,7 +207,14 @@ def test_init_writes_a_config_that_loads(call: Call, scans: Path, tmp_path: Path
         with_options = text.replace("#  - decimate:", "  - decimate:").replace("#      n_faces:", "      n_faces:")
         target.write_text(with_options)
         assert call("run", target, "-n").exit_code == 0
+    # a disk has no side by itself; this table gives it one
+    orient = dict(load_project(tmp_path / "disk.yaml").steps[1].options)
+    assert (orient["mirror"], orient["frame"]) == ("left", "principal")
     assert call("init", "disk", scans, "-o", tmp_path / "disk.yaml").exit_code == 2
+    (tmp_path / "cohort.csv").write_text("id,side\na,R\nb,R\n")
+    result = call("init", "disk", scans, "-o", tmp_path / "disk.yaml", "--overwrite")
+    assert (result.exit_code, "mirror" in result.output) == (0, False)
+    assert load_project(tmp_path / "disk.yaml").steps[1].options["mirror"] == "none"
     (tmp_path / "hands/scans").mkdir(parents=True)
     (tmp_path / "hands/landmarks.csv").write_text("id,landmark,x,y\n")
     result = call("init", "curve", tmp_path / "hands", "-o", tmp_path / "hands.yaml")

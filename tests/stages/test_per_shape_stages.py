@@ -7,7 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from ssmpipe.contract import Context, Landmarks, ShapeInfo
-from ssmpipe.core.align.rigid import apply, move, reflection, rotation_angle
+from ssmpipe.core.align.rigid import apply, homogeneous, move, reflection, rotation_angle, rotation_vector_matrix
 from ssmpipe.core.errors import ConfigError, LandmarkError, TopologyError
 from ssmpipe.core.mesh.distance import point_to_mesh
 from ssmpipe.core.mesh.operators import volume
@@ -269,6 +269,24 @@ class TestAlign:
         assert ctx.metrics["rms_mm"] < 1e-3
         assert "pose given by orient was replaced" in ctx.warnings[0]
         assert " mm" not in ctx.warnings[0]  # with units none they are not mm
+
+    def test_a_pose_replaced_is_no_news_where_frames_have_no_ends_or_it_hardly_turns(self):
+        reference, _ = self.prepared()
+        far = move(reference, random_motion(np.random.default_rng(4)))
+        axis = np.array([0.0, 0.0, np.radians(10.0)])
+        near = move(reference, homogeneous(rotation_vector_matrix(axis), np.zeros(3)))
+        given = {"landmarks": None, "transform": np.eye(4), "reference": reference}
+        outputs, ctx = go(align, mesh=far, **given, options={"check_frame": False})
+        assert ctx.metrics["start"] != "identity"
+        assert not ctx.warnings
+        assert np.abs(outputs["mesh"].vertices - reference.vertices).max() < 1e-2
+        assert not go(align, mesh=near, **given)[1].warnings
+
+    def test_the_mirror_image_is_sought_with_as_many_points(self):
+        reference, _ = self.prepared()
+        given = {"landmarks": None, "transform": np.eye(4), "reference": reference}
+        one, two = (go(align, mesh=reference, **given, options={"n_points": n})[1].metrics for n in (1000, 4000))
+        assert one["mirrored_cost_mm"] != pytest.approx(two["mirrored_cost_mm"], rel=1e-3)
 
     def test_wrong_side_warns(self):
         reference, _ = self.prepared()
