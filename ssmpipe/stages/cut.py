@@ -77,7 +77,7 @@ def run(mesh: TriMesh, landmarks: Landmarks | None = None, *, cfg: Config, ctx: 
 STAGE = Stage(
     name="cut",
     scope="shape",
-    version=1,
+    version=2,
     config=Config,
     run=run,
     inputs=(Port("mesh", "trimesh"), Port("landmarks", "landmarks", optional=True)),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -41,7 +40,8 @@ def straightened(mesh: TriMesh, path: Ints, max_rounds: int = 100_000) -> Surfac
 
     The faces beside the path are unfolded into the plane, where a funnel gives the shortest line in their strip (Lee and
     Preparata 1984). Where it bends at a vertex with less than half a turn on the outer side, the strip is led around the vertex on
-    that side (Xin and Wang 2007). Every round shortens the line, so this ends; no bend is left that a detour would shorten.
+    that side (Xin and Wang 2007); at all such bends in one round, but for neighbours. Every round shortens the line (when several
+    detours are in each other's way only the sharpest bend is led around), so this ends; no bend is left that a detour would shorten.
 
     Parameters
     ----------
@@ -72,20 +72,32 @@ def straightened(mesh: TriMesh, path: Ints, max_rounds: int = 100_000) -> Surfac
     rim[boundary_half_edges(mesh.faces)] = True
     start, goal = int(path[0]), int(path[-1])
     strip = _tidied(mesh, _strip(mesh, neighbour, path), start, goal)
+    shortest, before, turned = np.inf, strip, [start]
     for _ in range(max_rounds):
         portals = _portals(mesh, neighbour, strip)
-        flat, ends = _unfolded(mesh, strip, portals, start, goal)
+        flat, ends = _unfolded(mesh, portals, start, goal)
         bends = _funnel(flat, portals, ends)
-        turned = _shortening(bends, flat, portals, ends, total)
-        if turned is None:
-            return _crossings(mesh, bends, flat, portals, ends, (start, goal))
-        if rim[turned]:
-            x, y, z = mesh.vertices[turned]
+        corners = [ends[0], *(flat[k][side] for k, side in bends), ends[1]]
+        length = float(np.abs(np.diff(corners)).sum())
+        if length >= shortest and len(turned) > 1:
+            turned = turned[:1]
+            strip = _tidied(mesh, _around(mesh, neighbour, before, turned[0]), start, goal)
+            continue
+        shortest, before = length, strip
+        turned = _shortening(bends, corners, portals, total)
+        if not turned:
+            return _crossings(bends, flat, portals, corners, (start, goal))
+        if rim[turned[0]]:
+            x, y, z = mesh.vertices[turned[0]]
             raise TopologyError(
                 f"the shortest line between the ends of the seam runs along the boundary at ({x:.1f}, {y:.1f}, {z:.1f}) mm",
                 "move the landmarks of the seam, or use cut.path: edges",
             )
-        strip = _tidied(mesh, _around(mesh, neighbour, strip, turned), start, goal)
+        turned = [vertex for vertex in turned if not rim[vertex]]
+        for vertex in turned:
+            if vertex == turned[0] or (mesh.faces[strip] == vertex).any(axis=1).sum() > 1:
+                strip = _around(mesh, neighbour, strip, vertex)
+        strip = _tidied(mesh, strip, start, goal)
     raise TopologyError(
         f"the seam could not be straightened in {max_rounds} rounds", "use cut.path: edges, or decimate first"
     )
@@ -194,9 +206,9 @@ def _tidied(mesh: TriMesh, strip: list[int], start: int, goal: int) -> list[int]
         k = last[strip[k]]
         simple.append(strip[k])
         k += 1
-    at_start = [k for k, face in enumerate(simple) if start in mesh.faces[face]]
+    at_start = np.flatnonzero((mesh.faces[simple] == start).any(axis=1))
     simple = simple[at_start[-1] :]
-    at_goal = [k for k, face in enumerate(simple) if goal in mesh.faces[face]]
+    at_goal = np.flatnonzero((mesh.faces[simple] == goal).any(axis=1))
     return simple[: at_goal[0] + 1]
 
 
@@ -209,51 +221,50 @@ def _portals(mesh: TriMesh, neighbour: Ints, strip: list[int]) -> Ints:
     return np.column_stack([left, right])
 
 
-def _unfolded(mesh: TriMesh, strip: list[int], portals: Ints, start: int, goal: int) -> tuple[Floats, Floats]:
-    """Lay a strip into the plane; return its portals, (n, 2, 2): left and right, and both ends, (2, 2) [mm]."""
+Flat = list[tuple[complex, complex]]
+"""The left and the right end of every portal in the plane [mm]; complex numbers, because Python is fast with them."""
+
+
+def _unfolded(mesh: TriMesh, portals: Ints, start: int, goal: int) -> tuple[Flat, tuple[complex, complex]]:
+    """Lay a strip into the plane; return its portals and both ends."""
     v = mesh.vertices
-
-    def beyond(left: Floats, right: Floats, a: int, b: int, c: int) -> Floats:
-        """Place vertex c in front of the portal with left vertex a and right vertex b."""
-        along = left - right
-        length = float(np.hypot(*along))
-        along = along / length
-        to = v[c] - v[b]
-        x = float(to @ (v[a] - v[b])) / length
-        height = float(np.sqrt(max(to @ to - x * x, 0.0)))
-        return np.asarray(right + x * along + height * np.array([along[1], -along[0]]))
-
     if len(portals) == 0:
-        return np.empty((0, 2, 2)), np.array([[0.0, 0.0], [0.0, float(np.linalg.norm(v[goal] - v[start]))]])
-    flat = np.empty((len(portals), 2, 2))
-    a, b = portals[0]
-    flat[0] = [[0.0, 0.0], [float(np.linalg.norm(v[a] - v[b])), 0.0]]
-    # the start lies behind the first portal: mirrored at it
-    begin = beyond(flat[0, 0], flat[0, 1], a, b, start) * [1.0, -1.0]
-    for k in range(1, len(portals)):
-        old, new = portals[k - 1], portals[k]
-        kept = old == new
-        flat[k][kept] = flat[k - 1][kept]
-        flat[k][~kept] = beyond(flat[k - 1, 0], flat[k - 1, 1], old[0], old[1], int(new[~kept][0]))
-    a, b = portals[-1]
-    return flat, np.stack([begin, beyond(flat[-1, 0], flat[-1, 1], a, b, goal)])
+        return [], (0j, 1j * float(np.linalg.norm(v[goal] - v[start])))
+    # in front of every portal lies the vertex that is new in the next one; in front of the last the goal, behind the first the start
+    moved = portals[1:] != portals[:-1]
+    beyond = np.concatenate([portals[1:][moved], [goal, start]])
+    left, right = v[np.concatenate([portals, portals[:1]])].transpose(1, 0, 2)
+    to, side = v[beyond] - right, left - right
+    width = np.linalg.norm(side, axis=1)
+    x = np.einsum("ij,ij->i", to, side) / width
+    height = np.sqrt(np.maximum(np.einsum("ij,ij->i", to, to) - x * x, 0.0))
+    place = (x - 1j * height).tolist()
+    a, b = 0j, complex(width[0])
+    flat = [(a, b)]
+    begin = (b + (a - b) / abs(a - b) * place[-1]).conjugate()
+    for at, new_left in zip(place, moved[:, 0].tolist(), strict=False):
+        c = b + (a - b) / abs(a - b) * at
+        a, b = (c, b) if new_left else (a, c)
+        flat.append((a, b))
+    return flat, (begin, b + (a - b) / abs(a - b) * place[-2])
 
 
-def _turn(a: Floats, b: Floats, c: Floats) -> float:
-    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+def _turn(a: complex, b: complex, c: complex) -> float:
+    return ((b - a).conjugate() * (c - a)).imag
 
 
-def _funnel(flat: Floats, portals: Ints, ends: Floats) -> list[tuple[int, int]]:
+def _funnel(flat: Flat, portals: Ints, ends: tuple[complex, complex]) -> list[tuple[int, int]]:
     """Return the bends of the shortest line through the portals: number of the last portal with it, and side (0: left)."""
     n = len(portals)
-    places = np.concatenate([flat, np.repeat(ends[1][None, None], 2, axis=1)])
-    number = np.concatenate([portals, [[-2, -2]]])
-    apex, bends = ends[0], []
+    places = [*flat, (ends[1], ends[1])]
+    number = [*portals.tolist(), [-2, -2]]
+    apex = ends[0]
+    bends: list[tuple[int, int]] = []
     tip, tip_id = [apex, apex], [-1, -1]
     at, apex_id, k = [-1, -1], -1, 0
     while k <= n:
         for side, sign in ((1, 1.0), (0, -1.0)):
-            new, new_id = places[k, side], int(number[k, side])
+            new, new_id = places[k][side], number[k][side]
             if sign * _turn(apex, tip[side], new) < 0 and tip_id[side] != apex_id:
                 continue
             other = 1 - side
@@ -263,7 +274,7 @@ def _funnel(flat: Floats, portals: Ints, ends: Floats) -> list[tuple[int, int]]:
                 continue
             # the line bends at the tip of the other side
             apex, apex_id, k = tip[other], tip_id[other], at[other]
-            while k + 1 < n and number[k + 1, other] == apex_id:
+            while k + 1 < n and number[k + 1][other] == apex_id:
                 k += 1
             bends.append((k, other))
             tip, tip_id, at = [apex, apex], [apex_id, apex_id], [k, k]
@@ -272,23 +283,26 @@ def _funnel(flat: Floats, portals: Ints, ends: Floats) -> list[tuple[int, int]]:
     return bends
 
 
-def _shortening(bends: list[tuple[int, int]], flat: Floats, portals: Ints, ends: Floats, total: Floats) -> int | None:
-    """Return a vertex at which the line bends and would be shorter on the other side; the sharpest one."""
-    corner = [ends[0], *(flat[k, side] for k, side in bends), ends[1]]
-    best, vertex = 1e-9, None
-    for m, (k, side) in enumerate(bends, start=1):
-        one, two = corner[m - 1] - corner[m], corner[m + 1] - corner[m]
-        inner = float(np.arctan2(abs(one[0] * two[1] - one[1] * two[0]), one @ two))
-        gain = 3 * np.pi - float(total[portals[k, side]]) - inner
-        if gain > best:
-            best, vertex = gain, int(portals[k, side])
-    return vertex
+def _shortening(bends: list[tuple[int, int]], corners: list[complex], portals: Ints, total: Floats) -> list[int]:
+    """Return the vertices at which the line bends and would be shorter on the other side, no two neighbours; the sharpest first."""
+    if not bends:
+        return []
+    way = np.diff(corners)
+    inner = np.pi - np.abs(np.angle(way[1:] * way[:-1].conjugate()))
+    vertices = portals[tuple(np.transpose(bends))]
+    gains = np.concatenate([[0.0], 3 * np.pi - total[vertices] - inner, [0.0]])
+    found = []
+    for m in np.argsort(-gains, kind="stable"):
+        if gains[m] > 1e-9:
+            found.append(int(vertices[m - 1]))
+            gains[[m - 1, m + 1]] = 0.0
+    return found
 
 
 def _around(mesh: TriMesh, neighbour: Ints, strip: list[int], vertex: int) -> list[int]:
     """Lead a strip around the other side of a vertex."""
-    has = [k for k, face in enumerate(strip) if vertex in mesh.faces[face]]
-    first, last = has[0], has[-1]
+    has = np.flatnonzero((mesh.faces[strip] == vertex).any(axis=1))
+    first, last = int(has[0]), int(has[-1])
     if first == last:
         raise TopologyError("the seam cannot be straightened", "use cut.path: edges")
     k = int(np.flatnonzero(mesh.faces[strip[first]] == vertex)[0])
@@ -298,29 +312,26 @@ def _around(mesh: TriMesh, neighbour: Ints, strip: list[int], vertex: int) -> li
 
 
 def _crossings(
-    mesh: TriMesh, bends: list[tuple[int, int]], flat: Floats, portals: Ints, ends: Floats, ids: tuple[int, int]
+    bends: list[tuple[int, int]], flat: Flat, portals: Ints, corners: list[complex], ids: tuple[int, int]
 ) -> SurfacePath:
     """Return where the line crosses the portals."""
-    corner = [ends[0], *(flat[k, side] for k, side in bends), ends[1]]
     number = [ids[0], *(int(portals[k, side]) for k, side in bends), ids[1]]
     edges, fraction = [(ids[0], ids[0])], [0.0]
     segment = 0
-    for k in range(len(portals)):
+    for k, (p, q) in enumerate(portals.tolist()):
         while segment < len(bends) and k > bends[segment][0]:
             segment += 1
             edges.append((number[segment], number[segment]))
             fraction.append(0.0)
-        a, b = corner[segment], corner[segment + 1]
-        if np.isin(portals[k], (number[segment], number[segment + 1])).any():
+        met = number[segment : segment + 2]
+        if p in met or q in met:
             continue  # it meets this portal in the bend itself
-        left, right = flat[k]
-        one, two = _turn(a, b, left), _turn(a, b, right)
-        edges.append((int(portals[k, 0]), int(portals[k, 1])))
+        one, two = (_turn(corners[segment], corners[segment + 1], end) for end in flat[k])
+        edges.append((p, q))
         fraction.append(min(max(one / (one - two), 0.0), 1.0) if one != two else 0.5)
     for m in range(segment, len(bends)):
         edges.append((number[m + 1], number[m + 1]))
         fraction.append(0.0)
     edges.append((ids[1], ids[1]))
     fraction.append(0.0)
-    length = sum(float(np.linalg.norm(q - p)) for p, q in pairwise(corner))
-    return SurfacePath(np.array(edges), np.array(fraction), length)
+    return SurfacePath(np.array(edges), np.array(fraction), float(np.abs(np.diff(corners)).sum()))

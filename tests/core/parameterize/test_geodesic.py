@@ -8,6 +8,7 @@ from ssmpipe.core.errors import TopologyError
 from ssmpipe.core.mesh.operators import area, edge_lengths
 from ssmpipe.core.mesh.primitives import flat_square, sphere, star_shape, tube
 from ssmpipe.core.mesh.topology import boundary_loops, compact, is_manifold
+from ssmpipe.core.parameterize import geodesic
 from ssmpipe.core.parameterize.cutting import shortest_path
 from ssmpipe.core.parameterize.geodesic import inserted, straightened
 from tests.support.meshes import bent_tube, noisy
@@ -80,3 +81,21 @@ def test_a_line_pressed_against_the_boundary_is_refused():
         TopologyError, match=r"runs along the boundary at \((3|5)\.0, 6\.0, 0\.0\) mm.*cut\.path: edges"
     ):
         straightened(notched, path)
+
+
+def test_bends_that_are_apart_are_straightened_in_one_round(monkeypatch):
+    mesh, calls = bent_tube(48, 121), {"_around": 0, "_unfolded": 0}
+    for name in calls:
+        plain = getattr(geodesic, name)
+
+        def counted(*given, name=name, plain=plain):
+            calls[name] += 1
+            return plain(*given)
+
+        monkeypatch.setattr(geodesic, name, counted)
+    rims = boundary_loops(mesh.faces)
+    ends = np.array([rims[0][0], rims[1][20]])
+    path = shortest_path(mesh, int(ends[0]), ends[1:], np.setdiff1d(np.concatenate(rims), ends))
+    found = straightened(mesh, path)
+    assert found.length < 0.999 * length_of(mesh, path)
+    assert calls["_around"] > 2 * calls["_unfolded"] > 0, calls
