@@ -337,7 +337,7 @@ def _own_corners(mesh: TriMesh, cfg: Config, ctx: Context) -> Floats:
 STAGE = Stage(
     name="parameterize",
     scope="shape",
-    version=4,
+    version=5,
     config=Config,
     run=run,
     inputs=(

@@ -89,7 +89,7 @@ def _smoothed(mesh: TriMesh, cfg: Config) -> TriMesh:
 STAGE = Stage(
     name="smooth",
     scope="shape",
-    version=1,
+    version=2,
     config=Config,
     run=run,
     inputs=(Port("mesh", "trimesh"),),

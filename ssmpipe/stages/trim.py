@@ -188,7 +188,7 @@ def run(mesh: TriMesh, landmarks: Landmarks | None = None, *, cfg: Config, ctx: 
 STAGE = Stage(
     name="trim",
     scope="shape",
-    version=3,
+    version=4,
     config=Config,
     run=run,
     inputs=(Port("mesh", "trimesh"), Port("landmarks", "landmarks", optional=True)),

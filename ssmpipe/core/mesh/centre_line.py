@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.mesh.operators import edge_lengths
 from ssmpipe.core.mesh.sections import level_segments
+from ssmpipe.core.mesh.symmetric import solve
 from ssmpipe.core.mesh.topology import unique_edges
 from ssmpipe.core.mesh.trimesh import TriMesh
 
@@ -59,7 +59,7 @@ def _rising_field(mesh: TriMesh, start: Ints, end: Ints) -> Floats:
     field[end] = 1.0
     used = np.bincount(mesh.faces.ravel(), minlength=n) > 0
     free = np.setdiff1d(np.flatnonzero(used), np.r_[start, end])
-    field[free] = splu(sparse.csc_matrix(laplacian[free][:, free])).solve(-(laplacian[free] @ field))
+    field[free] = solve(laplacian[free][:, free], -(laplacian[free] @ field))
     return field
 
 

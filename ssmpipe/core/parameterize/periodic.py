@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from ssmpipe.core.arrays import Bools, Floats, Ints
 from ssmpipe.core.mesh.operators import face_areas
+from ssmpipe.core.mesh.symmetric import solve
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.parameterize.cutting import Opened
 from ssmpipe.core.parameterize.distortion import signed_uv_areas
@@ -91,7 +91,7 @@ def solve_periodic(wrapped: Wrapped, weights: Floats) -> Floats:
     v[wrapped.top] = 1.0
     fixed = np.concatenate([wrapped.bottom, wrapped.top])
     free = np.setdiff1d(np.arange(n), fixed)
-    v[free] = _solve(laplacian[free][:, free], -(laplacian[free][:, wrapped.top].sum(axis=1)))
+    v[free] = solve(laplacian[free][:, free], -(laplacian[free][:, wrapped.top].sum(axis=1)))
     # the pole pulls a neighbour straight up, it has no part in the equations of u
     beside = np.isin(wrapped.edges, wrapped.poles).any(axis=1)
     w = np.where(beside, 0.0, weights)
@@ -104,7 +104,7 @@ def solve_periodic(wrapped: Wrapped, weights: Floats) -> Floats:
     np.add.at(flow, j, -w * wrapped.jumps)
     inner = np.setdiff1d(np.arange(n), wrapped.poles)[1:]
     u = np.zeros(n)
-    u[inner] = _solve(laplacian_u[inner][:, inner], flow[inner])
+    u[inner] = solve(laplacian_u[inner][:, inner], flow[inner])
     return spread(wrapped, np.column_stack([u, v]))
 
 
@@ -203,10 +203,3 @@ def relax(
         uv = candidate
         history.append(stretch)
     return Result(uv, status, len(history) - 1, len(history), {"stretch": np.array(history)})
-
-
-def _solve(matrix: sparse.csc_matrix, right: Floats) -> Floats:
-    factor = splu(
-        sparse.csc_matrix(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-    )
-    return np.asarray(factor.solve(np.asarray(right).ravel()))

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import eigsh, splu
+from scipy.sparse.linalg import LinearOperator, eigsh
 
 from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.mesh.distance import point_to_mesh
 from ssmpipe.core.mesh.operators import area, face_areas, face_to_vertex
+from ssmpipe.core.mesh.symmetric import factorized, solve
 from ssmpipe.core.mesh.topology import boundary_loops, split_edges, unique_edges
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.parameterize.weights import neighbour_weights
@@ -32,7 +33,7 @@ def exit_time(mesh: TriMesh, source: Ints) -> Floats:
     stiffness, mass = _operators(mesh)
     free = np.setdiff1d(np.unique(mesh.faces), source)
     time = np.zeros(mesh.n_vertices)
-    time[free] = splu(stiffness[free][:, free].tocsc()).solve(mass[free])
+    time[free] = solve(stiffness[free][:, free], mass[free])
     return time
 
 
@@ -45,9 +46,9 @@ def longest_axis_mode(mesh: TriMesh) -> tuple[Floats, float]:
     stiffness, mass = _operators(mesh)
     used = np.unique(mesh.faces)
     start = mesh.vertices[used] @ np.array([1.0, 0.7, 0.4])
-    values, vectors = eigsh(
-        stiffness[used][:, used], k=3, M=sparse.diags(mass[used]).tocsc(), sigma=-1e-3 / area(mesh), v0=start
-    )
+    stiffness, lumped, shift = stiffness[used][:, used], sparse.diags(mass[used]).tocsc(), -1e-3 / area(mesh)
+    inverse = LinearOperator(stiffness.shape, factorized(stiffness - shift * lumped).solve, dtype=np.float64)
+    values, vectors = eigsh(stiffness, k=3, M=lumped, sigma=shift, v0=start, OPinv=inverse)
     order = np.argsort(values)
     mode = np.zeros(mesh.n_vertices)
     mode[used] = vectors[:, order[1]]

@@ -7,10 +7,10 @@ from typing import Literal
 import igl
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.mesh.operators import mean_edge_length
+from ssmpipe.core.mesh.symmetric import solve
 from ssmpipe.core.mesh.topology import boundary_half_edges
 from ssmpipe.core.mesh.trimesh import TriMesh
 
@@ -62,5 +62,5 @@ def fair(
         shift[held] = rim[held] - vertices[held]
     system = sparse.csr_matrix(system)
     right = (mass - system) @ vertices - system @ shift
-    shift[free] = splu(sparse.csc_matrix(system[free][:, free])).solve(np.ascontiguousarray(right[free]))
+    shift[free] = solve(system[free][:, free], right[free])
     return TriMesh(vertices + shift, mesh.faces)
