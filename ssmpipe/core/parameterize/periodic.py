@@ -91,7 +91,8 @@ def solve_periodic(wrapped: Wrapped, weights: Floats) -> Floats:
     v[wrapped.top] = 1.0
     fixed = np.concatenate([wrapped.bottom, wrapped.top])
     free = np.setdiff1d(np.arange(n), fixed)
-    v[free] = solve(laplacian[free][:, free], -(laplacian[free][:, wrapped.top].sum(axis=1)))
+    right = -np.asarray(laplacian[free][:, wrapped.top].sum(axis=1)).ravel()
+    v[free] = solve(laplacian[free][:, free], right)
     # the pole pulls a neighbour straight up, it has no part in the equations of u
     beside = np.isin(wrapped.edges, wrapped.poles).any(axis=1)
     w = np.where(beside, 0.0, weights)
