@@ -12,7 +12,7 @@ from matplotlib.colors import LinearSegmentedColormap, to_rgb
 from ssmpipe.contract import Table
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.correspondence.correspondence import Correspondence
-from ssmpipe.core.evaluation.landmark_transfer import locate
+from ssmpipe.core.evaluation.locating import locate
 from ssmpipe.core.evaluation.quality import Geometry
 from ssmpipe.core.model.shape_model import ShapeModel
 from ssmpipe.core.outline.outline import edge_indices

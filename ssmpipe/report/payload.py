@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ssmpipe.core.arrays import Floats
-from ssmpipe.core.evaluation.landmark_transfer import locate
+from ssmpipe.core.evaluation.locating import locate
 from ssmpipe.core.model.shape_model import ShapeModel
 from ssmpipe.core.outline.outline import edge_indices
 from ssmpipe.report.figures import CATEGORIES

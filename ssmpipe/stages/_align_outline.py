@@ -6,15 +6,16 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from ssmpipe.contract import Context, Landmarks, NamesShape, Port, Stage, StageConfig
+from ssmpipe.contract import Context, Landmarks, NamesShape, Port, Stage
 from ssmpipe.core.align.rigid import reflection
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.errors import ConfigError, GeometryError
 from ssmpipe.core.outline.align import OutlineFit, align_outline, medoid_outline, mirror_outline, move_outline
 from ssmpipe.core.outline.outline import Outline, start_at
+from ssmpipe.stages._chirality import ChiralityConfig
 
 
-class Config(StageConfig):
+class Config(ChiralityConfig):
     """Options of ``align`` for outlines."""
 
     reference: Annotated[
@@ -34,24 +35,8 @@ class Config(StageConfig):
             description="First point of closed outlines. match: all are tried, unless a landmark has the role `start`; keep: as it is."
         ),
     ] = "match"
-    check_mirror: Annotated[
-        bool, Field(description="Warn when the mirror image fits clearly better (left and right are mixed).")
-    ] = True
-    chirality: Annotated[
-        Literal["keep", "best-fit"],
-        Field(
-            description="keep: no outline is mirrored. best-fit: where left and right are mixed, an outline is mirrored when its mirror "
-            "image fits the reference better."
-        ),
-    ] = "keep"
     chirality_margin: Annotated[
-        float,
-        Field(
-            ge=0,
-            lt=1,
-            description="Share of the distance by which the better of both images must win; else a warning with best-fit, and none with "
-            "keep [-].",
-        ),
+        float, Field(ge=0, lt=1, description=ChiralityConfig.model_fields["chirality_margin"].description)
     ] = 0.2
 
 

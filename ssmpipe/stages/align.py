@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from ssmpipe.contract import Context, Landmarks, NamesShape, Port, Stage, StageConfig
+from ssmpipe.contract import Context, Landmarks, NamesShape, Port, Stage
 from ssmpipe.core.align.groupwise import align_group, union
 from ssmpipe.core.align.icp import Ball, IcpResult, Region, align, align_mirrored, fits_better_mirrored
 from ssmpipe.core.align.medoid import medoid
@@ -19,6 +19,7 @@ from ssmpipe.core.mesh.distance import surface_deviation
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.repair.decimation import decimate
 from ssmpipe.stages._align_outline import OUTLINE
+from ssmpipe.stages._chirality import ChiralityConfig
 
 GROUP_FACES = 60_000
 """Faces of the reference that `group` makes: the shapes are decimated to their shares of it [count]."""
@@ -28,7 +29,7 @@ _TURNED_DEG = 20.0
 """Shapes of one cohort in one anatomical frame are turned by less."""
 
 
-class Config(StageConfig):
+class Config(ChiralityConfig):
     """Options of align."""
 
     reference: Annotated[
@@ -48,9 +49,6 @@ class Config(StageConfig):
         ),
     ] = 0.1
     n_points: Annotated[int, Field(ge=200, description="Points per surface that are matched [count].")] = 5000
-    check_mirror: Annotated[
-        bool, Field(description="Warn when the mirror image fits clearly better (a wrong side label).")
-    ] = True
     check_frame: Annotated[
         bool,
         Field(
@@ -58,21 +56,6 @@ class Config(StageConfig):
             "tell one end from the other, so there that says nothing."
         ),
     ] = True
-    chirality: Annotated[
-        Literal["keep", "best-fit"],
-        Field(
-            description="keep: shapes stay as orient gave them. best-fit: for left and right that are not labelled, a shape is mirrored "
-            "when its mirror image fits the reference better by `chirality_margin`."
-        ),
-    ] = "keep"
-    chirality_margin: Annotated[
-        float,
-        Field(
-            ge=0,
-            lt=1,
-            description="Share of the distance by which the better of both images must win; else a warning [-].",
-        ),
-    ] = 0.05
     region: Annotated[
         tuple[float, float] | None,
         Field(
@@ -172,7 +155,13 @@ def run(
         )
     if cfg.check_mirror and cfg.chirality == "keep":
         better, mirrored = fits_better_mirrored(
-            mesh, reference, result, n_points=cfg.n_points, region=region, ball=ball
+            mesh,
+            reference,
+            result,
+            margin=cfg.chirality_margin,
+            n_points=cfg.n_points,
+            region=region,
+            ball=ball,
         )
         ctx.metric("mirrored_cost_mm", mirrored)
         if better:

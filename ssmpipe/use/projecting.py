@@ -22,7 +22,7 @@ from ssmpipe.core.errors import ConfigError
 from ssmpipe.core.mesh.distance import signed_point_to_mesh
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.model.posterior import NOWHERE, Observations, posterior
-from ssmpipe.core.model.remainder import LeaveOneOut, Remainder, fit_remainder, leave_one_out, spread
+from ssmpipe.core.model.remainder import LeaveOneOut, Remainder, farthest_first, fit_remainder, leave_one_out
 from ssmpipe.core.model.shape_model import ShapeModel
 from ssmpipe.core.outline.distance import point_to_segments
 from ssmpipe.core.outline.outline import Outline, edge_indices
@@ -418,7 +418,7 @@ class Projection:
         """Project corresponded points and say how sure the coefficients are."""
         model = target.model
         scores = model.project(points)
-        few = spread(model.mean, _SEEN_POINTS)
+        few = farthest_first(model.mean, _SEEN_POINTS)
         seen = Observations.of_places(few, points[few])
         covariance = posterior(model, target.remainder, seen, deviation_at=NOWHERE).covariance
         return cls(

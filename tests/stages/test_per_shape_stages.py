@@ -295,6 +295,14 @@ class TestAlign:
         _, ctx = go(align, mesh=move(reference, reflection()), landmarks=None, transform=np.eye(4), reference=reference)
         assert any("fits better mirrored" in w and "wrong side label?" in w for w in ctx.warnings)
         assert not any(" mm" in w for w in ctx.warnings)
+        given = {
+            "mesh": move(reference, reflection()),
+            "landmarks": None,
+            "transform": np.eye(4),
+            "reference": reference,
+        }
+        _, ctx = go(align, **given, options={"chirality_margin": 0.999})
+        assert not any("mirrored" in w for w in ctx.warnings)
 
 
 class TestParameterizeAndSample:

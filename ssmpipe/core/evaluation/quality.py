@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssmpipe.core.arrays import Floats, Ints
-from ssmpipe.core.evaluation.landmark_transfer import locate
+from ssmpipe.core.evaluation.locating import locate
 from ssmpipe.core.mesh.distance import sample_surface, signed_point_to_mesh
 from ssmpipe.core.mesh.grid import grid_faces
 from ssmpipe.core.mesh.trimesh import TriMesh
@@ -62,12 +62,12 @@ class Distances:
     maximum: float
 
 
-def spread(geometry: Geometry, n: int) -> Floats:
+def even_points(geometry: Geometry, n: int) -> Floats:
     """Return ``n`` points spread evenly over the area, or the length, of a geometry; the same ones every time.
 
     Examples
     --------
-    >>> spread(Geometry(np.array([[0, 0], [4.0, 0]]), np.array([[0, 1]])), 2)
+    >>> even_points(Geometry(np.array([[0, 0], [4.0, 0]]), np.array([[0, 1]])), 2)
     array([[1., 0.],
            [3., 0.]])
     """
@@ -96,7 +96,7 @@ def distances(source: Geometry, target: Geometry, n_samples: int = 10000) -> Dis
     >>> distances(square, Geometry(square.points + [0, 0, 2], square.cells), 10)
     Distances(mean=2.0, median=2.0, p99=2.0, maximum=2.0)
     """
-    points = np.concatenate([spread(source, n_samples), source.points])
+    points = np.concatenate([even_points(source, n_samples), source.points])
     found = locate(points, target.points, target.cells)[0]
     even = found[:n_samples]
     return Distances(float(even.mean()), float(np.median(even)), float(np.percentile(even, 99)), float(found.max()))

@@ -62,10 +62,22 @@ def signed_point_to_mesh(points: Floats, mesh: TriMesh) -> Floats:
     >>> signed_point_to_mesh(np.array([[0.25, 0.25, -2.0], [0.25, 0.25, 1.0]]), flat)
     array([-2.,  1.])
     """
+    return signed_projection(points, mesh)[1]
+
+
+def signed_projection(points: Floats, mesh: TriMesh) -> tuple[Floats, Floats]:
+    """Return the nearest places on a mesh, (n, 3), and the distances of the points as :func:`signed_point_to_mesh` has them [mm].
+
+    Examples
+    --------
+    >>> flat = TriMesh(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]), np.array([[0, 1, 2]]))
+    >>> signed_projection(np.array([[0.25, 0.25, -2.0]]), flat)
+    (array([[0.25, 0.25, 0.  ]]), array([-2.]))
+    """
     distance, face, weights = point_to_mesh(points, mesh)
-    offset = points - interpolate(mesh.vertices, mesh, face, weights)
-    side = np.einsum("ij,ij->i", offset, face_normals(mesh)[face])
-    return np.where(side < 0, -distance, distance)
+    nearest = interpolate(mesh.vertices, mesh, face, weights)
+    side = np.einsum("ij,ij->i", points - nearest, face_normals(mesh)[face])
+    return nearest, np.where(side < 0, -distance, distance)
 
 
 def barycentric_coordinates(points: Floats, triangles: Floats) -> Floats:

@@ -17,7 +17,7 @@ from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.model.fragment_pose import place_fragment
 from ssmpipe.core.model.pca import principal_components
 from ssmpipe.core.model.posterior import NOWHERE, Observations, Posterior, posterior, rigid_fields
-from ssmpipe.core.model.remainder import Remainder, spread
+from ssmpipe.core.model.remainder import Remainder, farthest_first
 from ssmpipe.core.model.shape_model import ShapeModel
 
 _MOTION = (0.3, 30.0)
@@ -226,7 +226,7 @@ def _pairs(
 
 def _rows(pairs: tuple[Ints, Observations], model: ShapeModel, n_rows: int) -> Observations:
     seen, rows = pairs
-    chosen = spread(model.mean[seen], n_rows)
+    chosen = farthest_first(model.mean[seen], n_rows)
     return Observations(seen[chosen], rows.directions[chosen], rows.values[chosen])
 
 
@@ -253,9 +253,9 @@ def hidden_training(
     """
     points = model.training_points
     hidden = np.flatnonzero(~seen) if not seen.all() else np.arange(len(seen))
-    hidden = hidden[spread(model.mean[hidden], 150)]
+    hidden = hidden[farthest_first(model.mean[hidden], 150)]
     shown = np.flatnonzero(seen)
-    shown = shown[spread(model.mean[shown], n_rows)]
+    shown = shown[farthest_first(model.mean[shown], n_rows)]
     ratios, surprises, errors = [], [], []
     for j in np.unique(np.linspace(0, len(points) - 1, min(len(points), _MOST_HIDDEN)).astype(int)):
         mean, modes, variances, scores = principal_components(np.delete(points, j, axis=0))

@@ -12,7 +12,7 @@ from ssmpipe.core.arrays import Bools, Floats
 from ssmpipe.core.mesh.distance import sample_surface
 from ssmpipe.core.mesh.operators import area, face_normals
 from ssmpipe.core.mesh.trimesh import TriMesh
-from ssmpipe.core.model.remainder import spread
+from ssmpipe.core.model.remainder import farthest_first
 
 _REGIONS = 10
 _FEW, _SOME = 150, 600
@@ -60,7 +60,7 @@ def place_fragment(fragment: TriMesh, whole: TriMesh, n_best: int = 3) -> list[P
     share = min(1.0, area(fragment) / area(whole))
     middle, axes = _axes(source)
     starts = []
-    for centre in target[spread(target, _REGIONS)]:
+    for centre in target[farthest_first(target, _REGIONS)]:
         near = np.argsort(((target - centre) ** 2).sum(axis=1), kind="stable")[: max(50, int(share * len(target)))]
         starts += _matches(middle, axes, *_axes(target[near]))
     starts += _matches(middle, axes, *_axes(target))

@@ -142,7 +142,7 @@ def fit_remainder(residuals: Floats, mean: Floats) -> Remainder:
     size = float(np.sqrt(((mean - mean.mean(axis=0)) ** 2).sum(axis=1).mean()))
     if not total > 1e-12 * size**2:
         return Remainder(1e-12 * size**2, 0.25 * size, 1e-12 * size**2)
-    chosen = spread(mean, _FIT_POINTS)
+    chosen = farthest_first(mean, _FIT_POINTS)
     columns = np.moveaxis(residuals[:, chosen], 1, 0).reshape(len(chosen), -1)
     distance = cdist(mean[chosen], mean[chosen])
     parts = [_matern(distance, length * size) for length in _LENGTHS]
@@ -165,14 +165,14 @@ def _mixtures() -> list[tuple[int, int, float]]:
     return alone + [(i, j, s) for i in range(len(_LENGTHS)) for j in range(i + 2, len(_LENGTHS)) for s in _LONG]
 
 
-def spread(points: Floats, n: int) -> Ints:
+def farthest_first(points: Floats, n: int) -> Ints:
     """Return the numbers of at most ``n`` of (n_P, d) points that lie far from each other, in rising order.
 
     Always the point farthest from those chosen so far; the first one is that nearest to the centroid.
 
     Examples
     --------
-    >>> spread(np.array([[0.0], [1], [2], [3], [8]]), 3)
+    >>> farthest_first(np.array([[0.0], [1], [2], [3], [8]]), 3)
     array([0, 3, 4])
     """
     if len(points) <= n:

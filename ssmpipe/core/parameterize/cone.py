@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from ssmpipe.core.mesh.distance import point_to_mesh
 from ssmpipe.core.mesh.topology import boundary_loops
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.parameterize.boundary import rim_of, split_chords
-from ssmpipe.core.parameterize.cutting import cut_along, shortest_path
+from ssmpipe.core.parameterize.cutting import Opened, cut_along, shortest_path
 from ssmpipe.core.parameterize.distortion import signed_uv_areas
 from ssmpipe.core.parameterize.periodic import (
     Wrapped,
@@ -130,24 +131,60 @@ def parameterize_poles(
     if n_folds:
         harmonic = solve_periodic(wrapped, positive)
     relaxed = relax(wrapped, positive, harmonic, eta=eta, max_iterations=max_iterations)
-    uv, stretch = relaxed.value, relaxed.history["stretch"]
+    stretch = relaxed.history["stretch"]
 
     def placed(uv: Floats) -> Floats:
         if seam_point is not None:
             return uv - [u_at(opened, uv, seam_point), 0.0]
         return uv - [u_towards(opened, uv, wrapped.poles, Y_AXIS if seam_direction is None else seam_direction), 0.0]
 
+    found = finished(wrapped.opened, wrapped.poles, harmonic, relaxed.value, stretch, placed, n_remap)
+    return replace(
+        found, n_rounds=relaxed.n_iterations, settled=relaxed.status == "converged", n_folds_harmonic=n_folds
+    )
+
+
+def finished(
+    opened: Opened,
+    poles: tuple[int, ...],
+    harmonic: Floats,
+    uv: Floats,
+    stretch: Floats,
+    placed: Callable[[Floats], Floats],
+    n_remap: int,
+    remedy: str = "",
+) -> PoleMap:
+    """Put u = 0 in its place, change u and v by one function each, refuse folds, and say what the map is like.
+
+    Parameters
+    ----------
+    opened : Opened
+    poles : tuple of int
+    harmonic, uv : (n_vertices, 2) float64
+        The first map and the last one.
+    stretch : (n,) float64
+        From the first map to the last one.
+    placed : function
+        Shifts u so that u = 0 lies where it should.
+    n_remap : int
+        Coefficients of the changes of u and of v; 0 makes none.
+    remedy : str
+        For folds.
+
+    Raises
+    ------
+    FoldoverError
+        If a triangle is turned over.
+    """
     # before the remap as well: its knots count from u = 0
     uv = placed(uv)
     if n_remap:
-        uv, after = remap_periodic(opened, uv, wrapped.poles, n_coefficients=n_remap)
+        uv, after = remap_periodic(opened.mesh, uv, poles, n_coefficients=n_remap)
         uv, stretch = placed(uv), np.append(stretch, after[-1])
-    refuse_folds(opened, uv, wrapped.poles)
-    seam = Seam("cone" if antapex is None else "closed", wrapped.opened.pairs, wrapped.poles)
-    before, ring = (pole_rings(opened, field, wrapped.poles) for field in (harmonic, uv))
-    return PoleMap(
-        opened, uv, seam, stretch, relaxed.n_iterations, relaxed.status == "converged", n_folds, before, ring
-    )
+    refuse_folds(opened.mesh, uv, poles, remedy)
+    before, ring = (pole_rings(opened.mesh, field, poles) for field in (harmonic, uv))
+    seam = Seam("closed" if len(poles) == 2 else "cone", opened.pairs, poles)
+    return PoleMap(opened.mesh, uv, seam, stretch, 0, True, 0, before, ring)
 
 
 def u_at(mesh: TriMesh, uv: Floats, point: Floats) -> float:

@@ -106,10 +106,10 @@ def solve_periodic(wrapped: Wrapped, weights: Floats) -> Floats:
     inner = np.setdiff1d(np.arange(n), wrapped.poles)[1:]
     u = np.zeros(n)
     u[inner] = solve(laplacian_u[inner][:, inner], flow[inner])
-    return spread(wrapped, np.column_stack([u, v]))
+    return onto_cut(wrapped, np.column_stack([u, v]))
 
 
-def spread(wrapped: Wrapped, uv: Floats) -> Floats:
+def onto_cut(wrapped: Wrapped, uv: Floats) -> Floats:
     """Return the map of the cut mesh from that of the uncut one; a pole gets the mean u of its neighbours."""
     origin, pairs = wrapped.opened.origin, wrapped.opened.pairs
     out = uv[origin]

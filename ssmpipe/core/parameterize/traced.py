@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -13,7 +13,7 @@ from ssmpipe.core.mesh.operators import edge_lengths
 from ssmpipe.core.mesh.topology import unique_edges
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.parameterize.boundary import rim_of, split_chords
-from ssmpipe.core.parameterize.cone import FLOOR, Y_AXIS, PoleMap, pole_rings, refuse_folds
+from ssmpipe.core.parameterize.cone import FLOOR, Y_AXIS, PoleMap, finished, refuse_folds
 from ssmpipe.core.parameterize.cutting import Opened, cut_along
 from ssmpipe.core.parameterize.generatrix import insert_on_rim, rim_place
 from ssmpipe.core.parameterize.geodesic import inserted
@@ -21,8 +21,6 @@ from ssmpipe.core.parameterize.gradient_line import gradient_line
 from ssmpipe.core.parameterize.harmonic import solve_averages
 from ssmpipe.core.parameterize.periodic import folded_periodic, periodic_stretch
 from ssmpipe.core.parameterize.poles import insert_point
-from ssmpipe.core.parameterize.remap import remap_periodic
-from ssmpipe.core.parameterize.seam import Seam
 from ssmpipe.core.parameterize.weights import neighbour_weights
 
 REMEDY = "use cone: periodic, or smooth or decimate the mesh first"
@@ -117,14 +115,13 @@ def parameterize_traced(
             break
         n_folds = n_folds or folds
     refuse_folds(opened.mesh, uv, (top,), REMEDY)
-    kink = _kink(opened.mesh, uv, top)
-    harmonic, stretch = uv, np.array([periodic_stretch(opened.mesh, uv, (top,))])
-    if n_remap:
-        uv, after = remap_periodic(opened.mesh, uv, (top,), n_coefficients=n_remap)
-        uv, stretch = uv - [uv[opened.pairs[0, 0], 0], 0.0], np.append(stretch, after[-1])
-        refuse_folds(opened.mesh, uv, (top,), REMEDY)
-    before, ring = (pole_rings(opened.mesh, field, (top,)) for field in (harmonic, uv))
-    return PoleMap(opened.mesh, uv, Seam("cone", opened.pairs, (top,)), stretch, 0, True, n_folds, before, ring, kink)
+    stretch = np.array([periodic_stretch(opened.mesh, uv, (top,))])
+
+    def placed(uv: Floats) -> Floats:
+        return uv - [uv[opened.pairs[0, 0], 0], 0.0]
+
+    found = finished(opened, (top,), uv, uv, stretch, placed, n_remap, REMEDY)
+    return replace(found, n_folds_harmonic=n_folds, kink=_kink(opened.mesh, uv, top))
 
 
 def _traced(mesh: TriMesh, top: int, seam_point: Floats | None, direction: Floats) -> Traced:

@@ -6,8 +6,8 @@ import numpy as np
 
 from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.errors import GeometryError
-from ssmpipe.core.mesh.distance import interpolate, point_to_mesh
-from ssmpipe.core.mesh.operators import area, edge_lengths, face_normals, mean_edge_length, vertex_normals
+from ssmpipe.core.mesh.distance import signed_projection
+from ssmpipe.core.mesh.operators import area, edge_lengths, mean_edge_length, vertex_normals
 from ssmpipe.core.mesh.topology import split_edges, unique_edges
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.repair.filling import fill
@@ -73,11 +73,11 @@ def _grown(vertices: Floats, triangles: Ints, n_rim: int, target: TriMesh, wante
     most = max(_FACES, 3 * len(triangles)) + 3.0 * area(target) / (0.4 * wanted**2)
     for k in range(_ROUNDS):
         if len(vertices) > n_rim:
-            offset, away = _towards(vertices[n_rim:], target)
+            nearest, away = signed_projection(vertices[n_rim:], target)
             normal = vertex_normals(TriMesh(vertices, triangles))[n_rim:]
             step = np.clip(-away, -0.7 * wanted, 0.7 * wanted)[:, None] * normal
             near = np.abs(away) < 0.7 * wanted
-            vertices[n_rim:] += np.where(near[:, None], offset, step)
+            vertices[n_rim:] += np.where(near[:, None], nearest - vertices[n_rim:], step)
             vertices = relaxed(vertices, triangles, n_rim, 3)
             if k > 8 and np.percentile(np.abs(away), 98) < 0.2 * wanted:
                 break
@@ -91,20 +91,12 @@ def _grown(vertices: Floats, triangles: Ints, n_rim: int, target: TriMesh, wante
             triangles = delaunay_flips(vertices, triangles, n_rim)
     for _ in range(3):
         vertices = relaxed(vertices, triangles, n_rim, 3)
-        vertices[n_rim:] += _towards(vertices[n_rim:], target)[0]
+        vertices[n_rim:] = signed_projection(vertices[n_rim:], target)[0]
         triangles = delaunay_flips(vertices, triangles, n_rim)
-    left = -_towards(rim, target)[0]
+    left = rim - signed_projection(rim, target)[0]
     vertices += fading(triangles, left, len(vertices), _BLEND)
     vertices[:n_rim] = rim
     return vertices, triangles
-
-
-def _towards(points: Floats, target: TriMesh) -> tuple[Floats, Floats]:
-    """Return the way to the nearest place of the target, and the distance from it, negative inside."""
-    distance, face, weights = point_to_mesh(points, target)
-    offset = interpolate(target.vertices, target, face, weights) - points
-    inside = np.einsum("ij,ij->i", offset, face_normals(target)[face]) > 0
-    return offset, np.where(inside, -distance, distance)
 
 
 def _refined(vertices: Floats, triangles: Ints, n_rim: int, longest: float) -> tuple[Floats, Ints]:

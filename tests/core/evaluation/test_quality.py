@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ssmpipe.core.evaluation.quality import Geometry, distances, signed_distances, spread
+from ssmpipe.core.evaluation.quality import Geometry, distances, even_points, signed_distances
 from ssmpipe.core.outline.outline import edge_indices
 from tests.support.small_run import grid_faces
 
@@ -47,4 +47,4 @@ def test_curves_by_length() -> None:
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     edges = edge_indices(400, True)
     assert distances(Geometry(ring, edges), Geometry(1.5 * ring, edges)).mean == pytest.approx(0.5, abs=1e-3)
-    assert np.abs(np.linalg.norm(spread(Geometry(ring, edges), 1000), axis=1) - 1).max() < 1e-3
+    assert np.abs(np.linalg.norm(even_points(Geometry(ring, edges), 1000), axis=1) - 1).max() < 1e-3

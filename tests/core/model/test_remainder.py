@@ -1,6 +1,6 @@
 import numpy as np
 
-from ssmpipe.core.model.remainder import Remainder, _one_by_one, fit_remainder, leave_one_out, spread
+from ssmpipe.core.model.remainder import Remainder, _one_by_one, farthest_first, fit_remainder, leave_one_out
 
 
 def test_leave_one_out_in_closed_form_is_that_of_one_model_after_the_other():
@@ -39,7 +39,7 @@ def test_no_residual_gives_next_to_no_remainder():
 
 def test_spread_points_are_far_from_each_other():
     points = np.random.default_rng(0).uniform(size=(500, 2))
-    chosen = spread(points, 20)
+    chosen = farthest_first(points, 20)
     gaps = np.linalg.norm(points[chosen][:, None] - points[chosen][None], axis=2)[np.triu_indices(20, 1)]
     assert gaps.min() > 0.12
-    assert np.array_equal(spread(points[:5], 20), np.arange(5))
+    assert np.array_equal(farthest_first(points[:5], 20), np.arange(5))
