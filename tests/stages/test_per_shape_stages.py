@@ -295,14 +295,11 @@ class TestAlign:
         _, ctx = go(align, mesh=move(reference, reflection()), landmarks=None, transform=np.eye(4), reference=reference)
         assert any("fits better mirrored" in w and "wrong side label?" in w for w in ctx.warnings)
         assert not any(" mm" in w for w in ctx.warnings)
-        given = {
-            "mesh": move(reference, reflection()),
-            "landmarks": None,
-            "transform": np.eye(4),
-            "reference": reference,
-        }
-        _, ctx = go(align, **given, options={"chirality_margin": 0.999})
-        assert not any("mirrored" in w for w in ctx.warnings)
+        wrong = noisy(move(reference, reflection()), np.random.default_rng(0), 0.3)
+        given = {"mesh": wrong, "landmarks": None, "transform": np.eye(4), "reference": reference}
+        for margin, told in ((0.05, True), (0.999, False)):
+            _, ctx = go(align, **given, options={"chirality_margin": margin})
+            assert any("better mirrored" in w for w in ctx.warnings) is told
 
 
 class TestParameterizeAndSample:

@@ -51,6 +51,15 @@ def align_group(
     ------
     GeometryError
         If there are fewer than three shapes.
+
+    Examples
+    --------
+    >>> from ssmpipe.core.mesh.primitives import star_shape
+    >>> lump = star_shape(2)
+    >>> away = homogeneous(np.diag([-1.0, -1.0, 1.0]), np.array([30.0, 0.0, 0.0]))
+    >>> poses = align_group({"a": lump, "b": lump, "c": move(lump, away)}, first="a", n_points=400).value
+    >>> bool(np.abs(poses["c"] @ away - poses["a"]).max() < 0.2)
+    True
     """
     if len(meshes) < 3:
         raise GeometryError(f"a group needs three shapes, there are {len(meshes)}", "align to one of them instead")

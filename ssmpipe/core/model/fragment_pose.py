@@ -49,6 +49,18 @@ def place_fragment(fragment: TriMesh, whole: TriMesh, n_best: int = 3) -> list[P
     fragment, whole : TriMesh
         No mirror image of each other; faces wound outward.
     n_best : int
+
+    Examples
+    --------
+    >>> from ssmpipe.core.align.rigid import move
+    >>> from ssmpipe.core.mesh.primitives import star_shape
+    >>> from ssmpipe.core.repair.trimming import trim
+    >>> lump = star_shape(3)
+    >>> part = trim(lump, np.zeros(3), np.array([0.0, 0.0, -1.0]))
+    >>> away = homogeneous(rotation_vector_matrix(np.array([0.3, 1.0, -2.0])), np.array([40.0, 0.0, 9.0]))
+    >>> best = place_fragment(move(part, away), lump)[0]
+    >>> bool(np.abs(apply(best.matrix @ away, part.vertices) - part.vertices).max() < 3.0)
+    True
     """
     target, target_face, _ = sample_surface(whole, 4000)
     target_normals = face_normals(whole)[target_face]

@@ -48,6 +48,17 @@ def fill_towards(mesh: TriMesh, loops: list[Ints], target: TriMesh) -> tuple[Tri
         If loops touch.
     GeometryError
         If a hole cannot be closed by a patch without folds, or a patch grows past the size of the target.
+
+    Examples
+    --------
+    >>> from ssmpipe.core.mesh.primitives import sphere
+    >>> from ssmpipe.core.mesh.topology import boundary_loops
+    >>> from ssmpipe.core.repair.trimming import trim
+    >>> ball = sphere(10.0, 3)
+    >>> cup = trim(ball, np.array([0, 0, 5.0]), np.array([0, 0, 1.0]))
+    >>> full, (new,) = fill_towards(cup, boundary_loops(cup.faces), ball)
+    >>> boundary_loops(full.faces), bool(abs(np.linalg.norm(full.vertices[new], axis=1) - 10.0).max() < 0.2)
+    ([], True)
     """
     flat, records = fill(mesh, loops, method="membrane")
     vertices, faces, slices = [mesh.vertices], [mesh.faces], []

@@ -53,7 +53,15 @@ def intersecting_pairs(mesh: TriMesh) -> Ints:
 
 
 def crossings(mesh: TriMesh, pairs: Ints) -> list[Crossing]:
-    """Gather intersecting pairs to places: faces that intersect or share a vertex belong together; the largest first."""
+    """Gather intersecting pairs to places: faces that intersect or share a vertex belong together; the largest first.
+
+    Examples
+    --------
+    >>> v = np.array([[0, 0, 0], [2, 0, 0], [0, 2, 0], [0.5, 0.5, -1], [0.5, 0.5, 1], [3, 3, 0.0]])
+    >>> mesh = TriMesh(v, np.array([[0, 1, 2], [3, 4, 5]]))
+    >>> [place.n_faces for place in crossings(mesh, intersecting_pairs(mesh))]
+    [2]
+    """
     if len(pairs) == 0:
         return []
     faces = np.unique(pairs)
@@ -78,6 +86,17 @@ def repair_intersections(mesh: TriMesh) -> TriMesh:
     TriMesh
         The mesh with the fewest intersecting pairs that was met, of the same topology; the given one if nothing helps. The
         vertices away from the places stay to the bit.
+
+    Examples
+    --------
+    >>> from ssmpipe.core.mesh.primitives import sphere
+    >>> ball = sphere(10.0, 4)
+    >>> vertices = ball.vertices.copy()
+    >>> vertices[100] *= -1.2  # through the other side
+    >>> folded = TriMesh(vertices, ball.faces)
+    >>> good = repair_intersections(folded)
+    >>> len(intersecting_pairs(folded)) > 0, len(intersecting_pairs(good)), euler_characteristic(good.faces)
+    (True, 0, 2)
     """
     best, fewest = mesh, len(intersecting_pairs(mesh))
     for n_rings in range(1, MAX_RINGS + 1):

@@ -32,6 +32,15 @@ def closed_again(torn: TriMesh, before: TriMesh, euler: int) -> TriMesh:
         If it has another one, or another number of boundary loops than ``before``.
     GeometryError
         If even the flattest patches would fold.
+
+    Examples
+    --------
+    >>> from ssmpipe.core.mesh.primitives import sphere
+    >>> from ssmpipe.core.mesh.topology import compact
+    >>> ball = sphere(10.0, 3)
+    >>> torn = compact(ball, ~(ball.faces == 7).any(axis=1))
+    >>> boundary_loops(closed_again(torn, ball, euler=2).faces)
+    []
     """
     loops = new_loops(torn, before)
     try:

@@ -74,6 +74,19 @@ def find_sinuses(mesh: TriMesh, rims: tuple[Ints, Ints]) -> Sinuses:
     ------
     GeometryError
         If neither end, or both, have a bulge with three lobes.
+
+    Examples
+    --------
+    >>> from ssmpipe.core.mesh.primitives import tube
+    >>> from ssmpipe.core.mesh.topology import boundary_loops
+    >>> plain = tube(1.0, 66.0, 72, 82)
+    >>> x, y, z = plain.vertices.T
+    >>> lobes = 1.0 + 0.6 * np.cos(3 * np.arctan2(y, x))  # largest 18 mm from the first end, half as large 7 mm before and behind
+    >>> radius = 14.0 + 3.0 * lobes * 2.0 ** -(((z - 18.0) / 7.0) ** 2) + 1.5 / (1.0 + np.exp((38.0 - z) / 4.0))
+    >>> root = TriMesh(np.column_stack([radius * x, radius * y, z]), plain.faces)
+    >>> found = find_sinuses(root, tuple(boundary_loops(root.faces)))
+    >>> abs(found.height - 14.0) < 0.7
+    True
     """
     line = centre_line(mesh, *rims)
     radius = _median_radius(mesh, rims)
@@ -109,6 +122,14 @@ def planes_at_sinuses(sinuses: Sinuses, below: float, length: float | None) -> t
     -------
     lower, upper : EndPlane
         The second is None without a ``length``.
+
+    Examples
+    --------
+    >>> line = np.column_stack([np.zeros(61), np.zeros(61), np.arange(61.0)])
+    >>> found = Sinuses(first=True, lower=11.0, upper=25.0, junction=32.0, diameter=28.0, lobes=1.8, line=line)
+    >>> lower, upper = planes_at_sinuses(found, below=0.5, length=30.0)
+    >>> lower.point.round(6) + 0.0, lower.normal.round(6) + 0.0, upper.point.round(6) + 0.0
+    (array([0., 0., 4.]), array([ 0.,  0., -1.]), array([ 0.,  0., 34.]))
     """
     at = sinuses.lower - below * sinuses.height
     point, tangent = _on_longer_line(sinuses.line, at, sinuses.height)
