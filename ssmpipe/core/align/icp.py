@@ -17,9 +17,10 @@ from ssmpipe.core.align.rigid import (
     rigid_fit,
     rotation_vector_matrix,
 )
-from ssmpipe.core.arrays import Bools, Floats
+from ssmpipe.core.arrays import Bools, Floats, Ints
 from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.mesh.distance import sample_surface
+from ssmpipe.core.mesh.numbering import canonical_order
 from ssmpipe.core.mesh.operators import face_normals, surface_centroid
 from ssmpipe.core.mesh.trimesh import TriMesh
 
@@ -103,9 +104,15 @@ class PointSurface:
     active: Bools | None = None
 
     @classmethod
-    def of(cls, mesh: TriMesh, n_points: int, region: Region | Ball | None = None) -> PointSurface:
-        """Sample a mesh, uniformly in area and the same way every time."""
-        points, face, _ = sample_surface(mesh, n_points)
+    def of(
+        cls,
+        mesh: TriMesh,
+        n_points: int,
+        region: Region | Ball | None = None,
+        order: tuple[Ints, Ints] | None = None,
+    ) -> PointSurface:
+        """Sample a mesh, uniformly in area and the same way every time; see :func:`ssmpipe.core.mesh.distance.sample_surface`."""
+        points, face, _ = sample_surface(mesh, n_points, order=order)
         active = None if region is None else region.contains(points, mesh.vertices)
         return cls(points, face_normals(mesh)[face], cKDTree(points), active)
 
@@ -283,8 +290,9 @@ def align(
         # the same distances count both ways: move the target onto the source, and turn that around
         back = align(target, source, margin=margin, n_refined=n_refined, n_points=n_points, region=ball)
         return replace(back, matrix=_inverse(back.matrix))
+    orders = canonical_order(source), canonical_order(target)
     few, some, all_points = (
-        (PointSurface.of(source, n), PointSurface.of(target, n, region))
+        (PointSurface.of(source, n, order=orders[0]), PointSurface.of(target, n, region, orders[1]))
         for n in (min(400, n_points), min(1200, n_points), n_points)
     )
     scaled = scaled and region is None

@@ -114,19 +114,29 @@ def interpolate(values: Floats, mesh: TriMesh, face_index: Ints, barycentric: Fl
     return np.einsum("nk,nk...->n...", barycentric, values[mesh.faces[face_index]])
 
 
-def sample_surface(mesh: TriMesh, n_points: int, seed: int = 0) -> tuple[Floats, Ints, Floats]:
+def sample_surface(
+    mesh: TriMesh, n_points: int, seed: int = 0, order: tuple[Ints, Ints] | None = None
+) -> tuple[Floats, Ints, Floats]:
     """Spread points over a surface, uniformly in area, the same ones for the same surface and seed.
 
     Stratified in the cumulative area of the faces, so that the counts per region vary less than with independent draws. Faces and
     their corners are taken in their canonical order: the points move along with the surface, into its mirror image too, and do
     not depend on the order in the file.
 
+    Parameters
+    ----------
+    mesh : TriMesh
+    n_points : int
+    seed : int
+    order : (vertices, faces), optional
+        What :func:`~ssmpipe.core.mesh.numbering.canonical_order` says of the mesh, for those who sample it more than once.
+
     Returns
     -------
     points : (n_points, 3), face_index : (n_points,), barycentric : (n_points, 3)
     """
     rng = np.random.default_rng(seed)
-    vertices, faces = canonical_order(mesh)
+    vertices, faces = canonical_order(mesh) if order is None else order
     cumulative = np.cumsum(face_areas(mesh)[faces])
     at = (np.arange(n_points) + rng.random(n_points)) / n_points * cumulative[-1]
     face = faces[np.minimum(np.searchsorted(cumulative, at, side="right"), mesh.n_faces - 1)]

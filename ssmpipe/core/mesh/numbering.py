@@ -42,11 +42,20 @@ def canonical_order(mesh: TriMesh) -> tuple[Ints, Ints]:
     if not weights.any():
         weights = np.ones(mesh.n_faces)
     center = weights @ mesh.vertices[mesh.faces].mean(axis=1) / weights.sum()
-    distance = _level(np.linalg.norm(mesh.vertices - center, axis=1))
-    around = _level(face_to_vertex(mesh) @ weights)
-    vertices = np.lexsort((around, distance))
-    corners = np.sort(_inverse(vertices)[mesh.faces], axis=1)
-    return vertices, np.lexsort((corners[:, 2], corners[:, 1], corners[:, 0]))
+    distance = np.linalg.norm(mesh.vertices - center, axis=1)
+    vertices = np.argsort(distance, kind="stable")
+    level = np.empty(mesh.n_vertices, dtype=np.int64)
+    level[vertices] = _levels(distance[vertices])
+    if level.max() + 1 < mesh.n_vertices:
+        around = face_to_vertex(mesh) @ weights
+        order = np.argsort(around, kind="stable")
+        second = np.empty(mesh.n_vertices, dtype=np.int64)
+        second[order] = _levels(around[order])
+        vertices = np.lexsort((second, level))
+    first, middle, last = np.sort(_inverse(vertices)[mesh.faces], axis=1).T
+    if mesh.n_vertices < 2_000_000:  # one number for all three, which is faster to sort
+        return vertices, np.argsort((first * mesh.n_vertices + middle) * mesh.n_vertices + last, kind="stable")
+    return vertices, np.lexsort((last, middle, first))
 
 
 def canonical(mesh: TriMesh) -> tuple[TriMesh, bool]:
@@ -70,13 +79,9 @@ def canonical(mesh: TriMesh) -> tuple[TriMesh, bool]:
     return TriMesh(mesh.vertices[order], faces[:, [0, 2, 1]] if turned else faces), turned
 
 
-def _level(values: Floats) -> Ints:
-    """Return the rank of each value; values that differ by rounding only have the same."""
-    order = np.argsort(values, kind="stable")
-    rank = np.empty(len(values), dtype=np.int64)
-    ascending = values[order]
-    rank[order] = np.cumsum(np.diff(ascending, prepend=ascending[:1]) > _SAME * ascending[-1])
-    return rank
+def _levels(ascending: Floats) -> Ints:
+    """Number rising values; those that differ by rounding only get the same number."""
+    return np.cumsum(np.diff(ascending, prepend=ascending[:1]) > _SAME * ascending[-1])
 
 
 def _inverse(order: Ints) -> Ints:

@@ -12,8 +12,8 @@ from ssmpipe.core.arrays import Floats
 def factorized(matrix: sparse.spmatrix) -> SuperLU:
     """Factorize a symmetric positive definite matrix, such as the stiffness of a surface held somewhere.
 
-    Rows and columns are ordered together by minimum degree of ``A + A'``, and pivots stay on the diagonal: half the fill of the order
-    that SuperLU takes for matrices without symmetry.
+    Rows and columns are ordered together by minimum degree of ``A + A'``, and pivots stay on the diagonal: two thirds of the fill of the
+    order that SuperLU takes for matrices without symmetry.
 
     Examples
     --------
