@@ -11,6 +11,8 @@ from ssmpipe.core.arrays import Floats
 from ssmpipe.core.mesh.operators import surface_centroid
 from ssmpipe.core.mesh.trimesh import TriMesh
 
+TIE = 1e-9
+"""Boxes whose volumes differ by no more than this share are equal [-]."""
 LARGE, CLOSE, NEAR = 2000, 1.02, np.radians(2.5)
 """Hulls with more vertices are searched in two steps; the second tries the faces within an angle [rad] of those whose box was
 nearly the smallest in the first."""
@@ -43,13 +45,13 @@ def box_axes(mesh: TriMesh) -> Floats:
     normals = np.unique(np.round(hull.equations[:, :3], 6), axis=0)
     if len(corners) > LARGE:
         # a round shape has most of its vertices on the hull: first with the outermost ones in some directions, then all that is near
-        few = corners[np.unique(np.argmax(corners @ _directions().T, axis=0))]
+        few = _outermost(corners, 600)
         rough = ConvexHull(few).equations[:, :3]
         sizes = _boxes(rough, few)[0]
         good = rough[sizes < CLOSE * sizes.min()]
         normals = normals[(normals @ good.T).max(axis=1) > np.cos(NEAR)]
-    sizes, boxes = _boxes(normals, corners)
-    axes = boxes[int(np.argmax(sizes < sizes.min() * (1 + 1e-9)))]
+    sizes, boxes = _small_boxes(normals, corners)
+    axes = boxes[int(np.argmax(sizes < sizes.min() * (1 + TIE)))]
     axes = axes[np.argsort(-np.ptp(corners @ axes.T, axis=0), kind="stable")]
     # near a principal axis take its sign
     for k in range(2):
@@ -58,6 +60,28 @@ def box_axes(mesh: TriMesh) -> Floats:
             axes[k] = -axes[k]
     axes[2] = np.cross(axes[0], axes[1])
     return np.asarray(axes @ skew)
+
+
+def _small_boxes(normals: Floats, corners: Floats) -> tuple[Floats, Floats]:
+    """Do the same as :func:`_boxes` for the smallest box and its equals; what cannot be among them is infinite.
+
+    A box around some of the corners is no larger than the one around all.
+    """
+    if len(corners) <= LARGE:
+        return _boxes(normals, corners)
+    bounds = _boxes(normals, _outermost(corners, 3000))[0]
+    sizes, boxes = np.full(len(normals), np.inf), np.empty((len(normals), 3, 3))
+    for k in np.argsort(bounds, kind="stable"):
+        if bounds[k] > sizes.min() * (1 + TIE):
+            break
+        sizes[k : k + 1], boxes[k : k + 1] = _boxes(normals[k : k + 1], corners)
+    return sizes, boxes
+
+
+def _outermost(corners: Floats, n: int) -> Floats:
+    """Return those of the corners, (m, 3), that are the farthest ones in ``n`` directions."""
+    blocks = np.array_split(_directions(n), 1 + n // 100)
+    return corners[np.unique(np.concatenate([np.argmax(corners @ block.T, axis=0) for block in blocks]))]
 
 
 def _boxes(normals: Floats, corners: Floats) -> tuple[Floats, Floats]:
@@ -77,7 +101,7 @@ def _boxes(normals: Floats, corners: Floats) -> tuple[Floats, Floats]:
     return np.array(sizes), np.array(boxes)
 
 
-def _directions(n: int = 600) -> Floats:
+def _directions(n: int) -> Floats:
     """Return directions spread over the sphere, (n, 3): a spiral with the golden angle."""
     height = 1 - 2 * (np.arange(n) + 0.5) / n
     angle = np.pi * (3 - np.sqrt(5)) * np.arange(n)
