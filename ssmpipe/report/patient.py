@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap, to_rgb
+from scipy.spatial import cKDTree
 
 from ssmpipe.contract import Table
 from ssmpipe.core.arrays import Floats
@@ -35,6 +36,10 @@ from ssmpipe.report.wording import number
 CHANGE_STOPS = (BONE, "#e8a33d", "#c4421d", "#6b1022")
 CHANGE = LinearSegmentedColormap.from_list("ssmpipe-change", CHANGE_STOPS, N=256)
 SAME = 1e-6  # of the size: less is the rounding of files and transforms
+_CELLS, _ENOUGH = (
+    90,
+    7000,
+)  # a small picture needs no more: cubes along the diagonal with one point each, and from how many points on
 _INCHES, _DPI = 2.2, 100
 
 
@@ -332,29 +337,71 @@ def _change(previous: StepShape | None, state: StepShape, frame: Floats, unit: s
     assert state.shape is not None
     after = state.shape.moved(frame @ np.linalg.inv(state.transform))
     if previous is None or previous.shape is None:
-        drawn = after if state.pattern is not None else _small(after, after.diagonal / 120)
-        return Change(after=_draw(after, drawn, None, state.pattern))
+        drawn = after if state.pattern is not None else _small(after, after.diagonal / _CELLS)
+        return Change(after=_draw(_Stand.of(after), drawn, None, state.pattern))
     before = previous.shape.moved(frame @ np.linalg.inv(previous.transform))
     moved = _motion(state.transform @ np.linalg.inv(previous.transform), before, unit)
-    cell = before.diagonal / 120
+    cell, least = before.diagonal / _CELLS, SAME * before.diagonal
     small = [_small(g, cell) for g in (before, after)]
-    apart = [locate(g.points, other.points, other.cells)[0] for g, other in zip(small, (after, before), strict=True)]
+    stand = _Stand.of(before, small[0])
+    apart = [_distances(g.points, other, least) for g, other in zip(small, (after, before), strict=True)]
     everything = np.concatenate(apart)
-    if float(everything.max()) <= SAME * before.diagonal:
+    if float(everything.max()) <= least:
         drawn = after if state.pattern is not None else small[1]
-        return Change(after=_draw(before, drawn, None, state.pattern), moved=moved, same=True)
+        return Change(after=_draw(stand, drawn, None, state.pattern), moved=moved, same=True)
     limit = nice_ceiling(float(np.quantile(everything, 0.995)))
-    first, second = (_draw(before, g, d / limit, None) for g, d in zip(small, apart, strict=True))
+    first = _draw(stand, small[0], apart[0] / limit, None)
     if state.pattern is not None:
-        second = _draw(before, after, None, state.pattern)
-    return Change(first, second, f"{limit:g}", moved)
+        return Change(first, _draw(stand, after, None, state.pattern), f"{limit:g}", moved)
+    return Change(first, _draw(stand, small[1], apart[1] / limit, None), f"{limit:g}", moved)
+
+
+def _distances(places: Floats, shape: Geometry, least: float) -> Floats:
+    """Return the distance of places to a shape; zero where one of its points lies within ``least``, which is found much faster.
+
+    Examples
+    --------
+    >>> flat = Geometry(np.array([[0, 0, 0], [9, 0, 0], [0, 9, 0.0]]), np.array([[0, 1, 2]]))
+    >>> _distances(np.array([[9.0, 0, 0], [1, 1, 2]]), flat, 1e-9)
+    array([0., 2.])
+    """
+    apart = np.zeros(len(places))
+    if least > 0:
+        alone = np.flatnonzero(np.isinf(cKDTree(shape.points).query(places, distance_upper_bound=least)[0]))
+    else:
+        alone = np.arange(len(places))
+    if len(alone):
+        apart[alone] = locate(places[alone], shape.points, shape.cells)[0]
+    return apart
 
 
 def _small(shape: Geometry, cell: float) -> Geometry:
-    if shape.cells.shape[1] != 3 or len(shape.points) < 7000:
+    if shape.cells.shape[1] != 3 or len(shape.points) < _ENOUGH:
         return shape
     kept, faces = thinned(shape.points, shape.cells, cell)
     return Geometry(shape.points[kept], faces) if len(faces) else shape
+
+
+@dataclass(frozen=True, eq=False)
+class _Stand:
+    """From where pictures are taken, so that several show a shape and what became of it in one scale."""
+
+    frame: Geometry
+    view: tuple[float, float]
+    centre: Floats
+    radius: float
+
+    @classmethod
+    def of(cls, frame: Geometry, small: Geometry | None = None) -> _Stand:
+        """Look at ``frame`` so that much is seen; ``small``: the same with fewer triangles."""
+        if frame.cells.shape[1] != 3:
+            return cls(frame, (0.0, 0.0), np.zeros(2), 1.0)
+        look = small or frame
+        view = good_view(look.points, look.cells)
+        axes = view_axes(*view)[:2]
+        flat = frame.points @ axes.T
+        low, high = flat.min(axis=0), flat.max(axis=0)
+        return cls(frame, view, (low + high) / 2 @ axes, 0.53 * float((high - low).max()))
 
 
 def _motion(matrix: Floats, shape: Geometry, unit: str) -> str:
@@ -387,19 +434,15 @@ def _motion(matrix: Floats, shape: Geometry, unit: str) -> str:
     return f"Moved: {', '.join(said)}." if said else ""
 
 
-def _draw(frame: Geometry, shape: Geometry, share: Floats | None, pattern: Any) -> str:
-    """Draw ``shape`` as large as ``frame``; ``share`` in [0, 1] colours its points."""
+def _draw(stand: _Stand, shape: Geometry, share: Floats | None, pattern: Any) -> str:
+    """Draw ``shape``; ``share`` in [0, 1] colours its points."""
     if shape.cells.shape[1] != 3:
-        return _draw_curve(frame, shape)
+        return _draw_curve(stand.frame, shape)
     colours = np.tile(to_rgb(BONE), (len(shape.points), 1)) if share is None else CHANGE(np.clip(share, 0, 1))[:, :3]
     if pattern is not None and len(pattern) == len(colours):
         colours = np.where(np.asarray(pattern)[:, None], colours * 0.62, colours)
-    view = good_view(frame.points, frame.cells)
-    axes = view_axes(*view)[:2]
-    flat = frame.points @ axes.T
-    low, high = flat.min(axis=0), flat.max(axis=0)
     shot = picture(
-        shape.points, shape.cells, view=view, centre=(low + high) / 2 @ axes, radius=0.53 * float((high - low).max()),
+        shape.points, shape.cells, view=stand.view, centre=stand.centre, radius=stand.radius,
         colours=colours, inches=_INCHES, dpi=_DPI, finer=1.5,
     )  # fmt: skip
     return png_uri(shot, 96)

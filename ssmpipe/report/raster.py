@@ -58,36 +58,38 @@ def rasterize(points: Floats, normals: Floats, faces: Ints, colours: Floats, siz
     )
     sides = np.unique(np.ceil(1.3 ** np.arange(32)).astype(np.int64))  # few sizes of box, so that few steps are needed
     box = sides[np.searchsorted(sides, np.clip(np.maximum(right - left, bottom - top), 1, sides[-1]))]
-    picture = np.ones((size * size, 3))
     nearest = np.full(size * size, -np.inf)
+    shown = np.full(size * size, -1, dtype=np.int64)  # the triangle that each pixel shows, and where in it
+    weights = np.zeros((size * size, 2))
     for n in np.unique(box):
-        dx, dy = (d.ravel() for d in np.meshgrid(np.arange(n), np.arange(n), indexing="ij"))
+        offset = np.arange(n)
         group = np.flatnonzero(box == n)
-        rows = max(1, _BLOCK // len(dx))
+        rows = max(1, _BLOCK // len(offset) ** 2)
         for start in range(0, len(group), rows):
             part = group[start : start + rows]
-            column, row = left[part, None] + dx, top[part, None] + dy
-            px, py = (
-                (at + 0.5 - start).astype(np.float32) for at, start in ((column, x[part, :1]), (row, y[part, :1]))
-            )
-            w1 = one[part, :1] * px + one[part, 1:] * py
-            w2 = two[part, :1] * px + two[part, 1:] * py
-            inside = (w1 >= -_RIM) & (w2 >= -_RIM) & (w1 + w2 <= 1 + _RIM)
-            inside &= (column >= 0) & (column < size) & (row >= 0) & (row < size)
-            which, _ = np.nonzero(inside)
-            w = np.stack([1 - w1[inside] - w2[inside], w1[inside], w2[inside]], axis=1)
-            sample = np.einsum("sk,skc->sc", w, values[part[which], :, 2:])
-            _keep_nearest(row[inside] * size + column[inside], sample[:, 0], sample[:, 1:], picture, nearest)
+            column, row = left[part, None] + offset, top[part, None] + offset
+            px, py = (column + 0.5 - x[part, :1]).astype(np.float32), (row + 0.5 - y[part, :1]).astype(np.float32)
+            px[column >= size], py[row >= size] = np.nan, np.nan  # no comparison is true outside of the picture
+            w1, w2 = (
+                (k[part, :1] * px)[:, :, None] + (k[part, 1:] * py)[:, None, :] for k in (one, two)
+            )  # (triangles, columns, rows)
+            which, i, j = np.nonzero((w1 >= -_RIM) & (w2 >= -_RIM) & (w1 + w2 <= 1 + _RIM))
+            at = row[which, j] * size + column[which, i]
+            w = np.stack([w1[which, i, j], w2[which, i, j]], axis=1).astype(np.float64)
+            which = part[which]
+            z = values[which, :, 2]
+            depth = z[:, 0] + w[:, 0] * (z[:, 1] - z[:, 0]) + w[:, 1] * (z[:, 2] - z[:, 0])
+            closer = np.flatnonzero(depth > nearest[at])
+            at, which, w, depth = at[closer], which[closer], w[closer], depth[closer]
+            np.maximum.at(nearest, at, depth)
+            front = np.flatnonzero(depth == nearest[at])
+            shown[at[front]], weights[at[front]] = which[front], w[front]
+    picture = np.ones((size * size, 3))
+    drawn = np.flatnonzero(shown >= 0)
+    colour, w = values[shown[drawn], :, 3:], weights[drawn]
+    w0 = 1 - w[:, 0] - w[:, 1]
+    picture[drawn] = w0[:, None] * colour[:, 0] + w[:, :1] * colour[:, 1] + w[:, 1:] * colour[:, 2]
     return (255 * picture.reshape(size, size, 3)).round().astype(np.uint8)
-
-
-def _keep_nearest(at: Ints, depth: Floats, colour: Floats, picture: Floats, nearest: Floats) -> None:
-    order = np.lexsort((depth, at))
-    at, depth, colour = at[order], depth[order], colour[order]
-    last = np.flatnonzero(np.append(at[1:] != at[:-1], True)) if len(at) else np.zeros(0, dtype=np.int64)
-    closer = last[depth[last] > nearest[at[last]]]
-    nearest[at[closer]] = depth[closer]
-    picture[at[closer]] = colour[closer]
 
 
 def thinned(points: Floats, faces: Ints, cell: float) -> tuple[Ints, Ints]:
@@ -108,7 +110,9 @@ def thinned(points: Floats, faces: Ints, cell: float) -> tuple[Ints, Ints]:
     (array([0, 1, 3]), array([[1, 0, 2]]))
     """
     cube = np.floor((points - points.min(axis=0)) / cell).astype(np.int64)
-    _, kept, number = np.unique(cube, axis=0, return_index=True, return_inverse=True)
+    n_y, n_z = cube[:, 1:].max(axis=0) + 1
+    key = (cube[:, 0] * n_y + cube[:, 1]) * n_z + cube[:, 2]  # in the order of the rows, and much faster to sort
+    _, kept, number = np.unique(key, return_index=True, return_inverse=True)
     order = np.argsort(kept)
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))

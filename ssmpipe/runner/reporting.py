@@ -48,7 +48,7 @@ def run(*, cfg: Config, ctx: Context, **artifacts: Any) -> dict[str, Any]:
 STAGE = Stage(
     name="report",
     scope="cohort",
-    version=2,
+    version=3,
     config=Config,
     run=run,
     inputs=(

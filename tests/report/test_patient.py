@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ssmpipe.core.evaluation.landmark_transfer import locate
 from ssmpipe.core.evaluation.quality import Geometry
-from ssmpipe.report.patient import PatientPage, StepShape, _motion, build_patient, corresponded_state
+from ssmpipe.report.patient import PatientPage, StepShape, _distances, _motion, build_patient, corresponded_state
 from ssmpipe.report.raster import rasterize, thinned
 from tests.support.small_run import grid_faces, small_run
 
@@ -148,3 +149,42 @@ def test_thinning_keeps_original_points_and_the_outline() -> None:
     assert len(kept) < len(ball.points) / 5
     assert faces.max() == len(kept) - 1
     assert np.ptp(ball.points[kept], axis=0) == pytest.approx(20.0, abs=0.5)
+
+
+def test_distances_are_exact_and_points_that_stayed_are_not_searched(monkeypatch: pytest.MonkeyPatch) -> None:
+    ball, searched = sphere(10.0), []
+
+    def counted(places: np.ndarray, points: np.ndarray, cells: np.ndarray):
+        searched.append(len(places))
+        return locate(places, points, cells)
+
+    monkeypatch.setattr("ssmpipe.report.patient.locate", counted)
+    places = ball.points.copy()
+    places[100:110] *= 1.1
+    found = _distances(places, ball, 1e-5)
+    exact = locate(places, ball.points, ball.cells)[0]
+    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-5)
+    assert found[100:110].min() > 0.9
+    assert searched == [10]
+
+
+def test_a_picture_is_that_of_the_nearest_triangle_of_every_pixel() -> None:
+    rng = np.random.default_rng(5)
+    points = rng.uniform(-1.2, 1.2, (240, 3))
+    normals, faces, grey = np.tile([0, 0, 1.0], (240, 1)), np.arange(240).reshape(80, 3), rng.uniform(0.2, 1, (240, 3))
+    shot = rasterize(points, normals, faces, grey, 40)
+    rows, columns = np.indices((40, 40))
+    at = np.stack([(columns + 0.5) / 20 - 1, 1 - (rows + 0.5) / 20], axis=-1)
+    depth, owner = np.full((40, 40), -np.inf), np.full((40, 40), -1)
+    for k, (a, b, c) in enumerate(points[faces]):  # every triangle against every pixel
+        w = np.linalg.solve(np.stack([b - a, c - a], axis=1)[:2], (at - a[:2]).reshape(-1, 2).T).reshape(2, 40, 40)
+        z = a[2] + w[0] * (b[2] - a[2]) + w[1] * (c[2] - a[2])
+        over = (w.min(axis=0) >= 0) & (w.sum(axis=0) <= 1) & (z > depth)
+        depth[over], owner[over] = z[over], k
+    assert (owner < 0).any()
+    assert ((shot < 255).any(axis=2) == (owner >= 0)).mean() > 0.99
+    alone = [rasterize(points, normals, faces[k : k + 1], grey, 40) for k in range(80)]
+    expected = np.array(
+        [[alone[owner[i, j]][i, j] if owner[i, j] >= 0 else [255] * 3 for j in range(40)] for i in range(40)]
+    )
+    assert (shot == expected).all(axis=2).mean() > 0.99
