@@ -353,18 +353,25 @@ def check(config: Path, overrides: tuple[str, ...], jobs: int | None) -> None:
     help="Write into report_pseudonymized/ with P001 ... instead of ids, file names and paths; the table of names goes to "
     "pseudonyms.csv, beside that folder and not in it.  [default: off]",
 )
-def report(config: Path, overrides: tuple[str, ...], form: str, pseudonymize: bool) -> None:
+@click.option(
+    "-j", "--jobs", type=click.IntRange(1), metavar="N", help="Child processes.  [default: processors, at most 8]"
+)
+def report(config: Path, overrides: tuple[str, ...], form: str, pseudonymize: bool, jobs: int | None) -> None:
     """Write the report again from what is in the output folder."""
     with _errors(_debug()):
-        project = _load(config, overrides)
+        from ssmpipe.runner.console import Console
+
+        project, console = _load(config, overrides), Console()
         if form == "html" and not pseudonymize:
             from ssmpipe.runner.status import rewrite_report
 
-            click.echo(f"report: {rewrite_report(project)}")
+            click.echo(f"report: {rewrite_report(project, jobs, console)}")
             return
         from ssmpipe.runner.sharing import share_report
 
-        target, key = share_report(project, form="pdf" if form == "pdf" else "html", pseudonymize=pseudonymize)
+        target, key = share_report(
+            project, form="pdf" if form == "pdf" else "html", pseudonymize=pseudonymize, jobs=jobs, console=console
+        )
         click.echo(f"report: {target}")
         if key is not None:
             click.echo(f"names: {key} (do not give this file away)")

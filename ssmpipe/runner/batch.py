@@ -86,6 +86,10 @@ class Job:
     closing: Closing | None = None
     threads: int = 1
     """That a group stage may use: the cores of the children that have nothing to do meanwhile."""
+    timeout_s: float | None = None
+    """A limit of its own in place of that of all shapes."""
+    aside: bool = False
+    """It is not about the stages of the shape: what is noted of their failure stays as it is."""
 
     @property
     def key(self) -> str:
@@ -204,7 +208,7 @@ def _run_job(job: Job, events: Path, memory_mb: int | None) -> Outcome:
         raise
     except BaseException as error:  # also SystemExit: some mesh libraries end the process on a bad file
         return Outcome(tuple(records), _failure(job, current, error, memory_mb))
-    if job.shape is not None:
+    if job.shape is not None and not job.aside:
         (job.workspace.out / "shapes" / job.shape / FAILED).unlink(missing_ok=True)
     return Outcome(tuple(records))
 
@@ -220,6 +224,8 @@ def record_failure(job: Job, stage: str, fact: str, remedy: str, details: str, *
     out = job.workspace.out
     folder = out / "shapes" / job.shape if job.shape else out / "cohort"
     file = job.workspace.sources[job.shape].path.name if job.shape else ""
+    if job.aside:
+        return Failure(job.key, stage, file, fact, remedy, internal)
     failure = Failure(job.key, stage, file, fact, remedy, internal, str((folder / FAILED).relative_to(out)))
     write_atomically(folder / FAILED, f"{failure.line}\n\n{details}")
     return failure
@@ -442,7 +448,7 @@ class Batch:
                     self._pool.schedule(
                         run_job,
                         args=(job, self.events, self.memory_mb),
-                        timeout=self.timeout_s if job.shape is not None else None,
+                        timeout=self._limit(job),
                     ): job
                     for job in jobs
                 }
@@ -463,6 +469,9 @@ class Batch:
                 if not ready:
                     time.sleep(0.05)
 
+    def _limit(self, job: Job) -> float | None:
+        return (job.timeout_s or self.timeout_s) if job.shape is not None else None
+
     def _outcome(self, job: Job, future: Any) -> Outcome:
         from pebble import ProcessExpired
 
@@ -470,7 +479,7 @@ class Batch:
         try:
             return future.result()
         except FutureTimeout:
-            fact = f"did not finish within {self.timeout_s:g} s"
+            fact = f"did not finish within {self._limit(job):g} s"
             remedy = "raise limits.timeout_s, or check the scan in a mesh viewer"
         except ProcessExpired as error:
             fact, remedy = f"the process crashed ({_exit_text(error.exitcode)})", "check the scan in a mesh viewer"

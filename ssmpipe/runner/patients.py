@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +21,7 @@ from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.outline.outline import Outline
 from ssmpipe.io.codecs import load_artifact
 from ssmpipe.runner.fingerprint import digest, file_digest
-from ssmpipe.runner.plan import SCAN, PlannedStep
+from ssmpipe.runner.plan import SCAN, PlannedStep, Producer
 from ssmpipe.runner.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -51,6 +51,7 @@ def page_digests(workspace: Workspace, step: PlannedStep, shown: Mapping[str, An
         for slot, producer in step.inputs.items()
         if producer is not None and producer.scope == "cohort"
     }
+    given = {slot: p for slot, p in step.inputs.items() if p is not None and p.scope == "shape"}  # landmarks, transform
     rest = [shown.get("name"), shown.get("ssmpipe_version"), shown["config"]["input"]["units"]]
     found = {}
     for place, shape in enumerate(ids):
@@ -60,9 +61,20 @@ def page_digests(workspace: Workspace, step: PlannedStep, shown: Mapping[str, An
                 manifest = workspace.manifest(workspace.folder(each, shape))
                 made[each.id] = {s: out.digest for s, out in manifest.outputs.items()} if manifest else None
         failure = (shown.get("failures") or {}).get(shape)
+        scan = [
+            _slot_digest(workspace, Producer(SCAN, "shape"), slot, shape) for slot in workspace.sources[shape].kinds
+        ]
+        beside = {slot: _slot_digest(workspace, producer, slot, shape) for slot, producer in given.items()}
         around = [ids[place - 1] if place else None, ids[place + 1] if place + 1 < len(ids) else None]
-        found[shape] = digest([common, rest, shown["shapes"][shape], failure, made, around])
+        found[shape] = digest([common, rest, shown["shapes"][shape], failure, made, scan, beside, around])
     return found
+
+
+def _slot_digest(workspace: Workspace, producer: Producer, slot: str, shape: str) -> str | None:
+    """Return the digest of one artifact; None when it is not there or cannot be read."""
+    with contextlib.suppress(SsmpipeError):
+        return workspace.slot_digest(producer, slot, shape)
+    return None
 
 
 @dataclass(frozen=True)
@@ -137,24 +149,20 @@ def _geometry(made: Any) -> Geometry | None:
 
 
 def landmarks_of(
-    workspace: Workspace, step: PlannedStep, correspondence: Correspondence
+    workspace: Workspace, step: PlannedStep, correspondence: Correspondence, warn: Callable[[str], None] | None = None
 ) -> dict[str, dict[str, Floats]]:
-    """Return the landmarks of every shape of a correspondence in its frame."""
+    """Return the landmarks of every shape of a correspondence in its frame; those that cannot be read are told to ``warn``."""
     marks, frames = step.inputs.get("landmarks"), step.inputs.get("transform")
     found: dict[str, dict[str, Floats]] = {}
     if marks is None or frames is None:
         return found
-    scans: dict[str, Any] = {}
 
     def one(slot: str, shape: str) -> Any:
         producer = step.inputs[slot]
         if producer is None:
             return None
         if producer.step == SCAN:
-            if shape not in scans:
-                scans.clear()
-                scans[shape] = workspace.sources[shape].load()
-            return scans[shape].get(slot)
+            return workspace.sources[shape].beside().get(slot)  # the scan itself is not read
         folder, manifest = workspace.produced(producer, shape)
         output = manifest.outputs.get(slot) if manifest else None
         return load_artifact(output.kind, slot, folder, list(output.files)) if output else None
@@ -162,7 +170,12 @@ def landmarks_of(
     for shape, matrix in zip(correspondence.ids, correspondence.transform, strict=True):
         if shape not in workspace.sources:
             continue
-        given, frame = one("landmarks", shape), one("transform", shape)
+        try:
+            given, frame = one("landmarks", shape), one("transform", shape)
+        except SsmpipeError as error:
+            if warn is not None:
+                warn(f"{shape}: shown without landmarks: {error}")
+            continue
         if isinstance(given, Landmarks) and frame is not None and given.points:
             found[shape] = dict(given.transformed(matrix @ np.linalg.inv(frame)).points)
     return found

@@ -4,34 +4,25 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ssmpipe.contract import Context, Port, Stage, StageConfig
 from ssmpipe.core.errors import SsmpipeError
-from ssmpipe.io.codecs import load_artifact
-from ssmpipe.runner.config import Project
+from ssmpipe.runner.batch import Batch
 from ssmpipe.runner.disk import disk_errors, write_atomically
 from ssmpipe.runner.execute import TaskRecord, versions
 from ssmpipe.runner.fingerprint import digest, file_digest
 from ssmpipe.runner.manifest import FILE, Decision, Manifest, Output, Request, decide
-from ssmpipe.runner.patients import (
-    FOLDER,
-    PAGES,
-    WrittenPages,
-    landmarks_of,
-    page_digests,
-    page_name,
-    steps_of,
-)
+from ssmpipe.runner.pages import results_of, write_pages
+from ssmpipe.runner.patients import FOLDER, landmarks_of, page_digests, page_name
 from ssmpipe.runner.plan import PlannedStep
 from ssmpipe.runner.record import report_record
 from ssmpipe.runner.workspace import Workspace
 
 if TYPE_CHECKING:
     from ssmpipe.report.build import Document
-    from ssmpipe.report.patient import PatientPage
 
 NAME = "report.html"
 
@@ -94,9 +85,17 @@ def report_decision(
 
 
 def write_report(
-    project: Project, workspace: Workspace, step: PlannedStep, record: dict[str, Any], *, force: bool = False
+    workspace: Workspace,
+    step: PlannedStep,
+    record: dict[str, Any],
+    batch: Batch,
+    warn: Callable[[str], None],
+    *,
+    force: bool = False,
 ) -> tuple[Path, TaskRecord]:
-    """Write ``report.html`` and the pages of the shapes, those whose content has changed.
+    """Write ``report.html`` and the pages of the shapes, those whose content has changed, in the children of ``batch``.
+
+    A page that cannot be made is told to ``warn``, is not linked, and is tried again the next time.
 
     Raises
     ------
@@ -115,9 +114,11 @@ def write_report(
     if not decision.run:
         return target, TaskRecord(step.id, None, "up to date", decision.reason, request.fingerprint)
     artifacts = results_of(workspace, step)
-    marks = landmarks_of(workspace, step, artifacts["correspondence"])
-    addresses = {shape: f"{FOLDER}/{page_name(shape)}" for shape in requests}
-    files = write_pages(workspace, step, shown, artifacts, requests, marks, force=force)
+    marks = landmarks_of(workspace, step, artifacts["correspondence"], warn)
+    files = write_pages(workspace, step, shown, requests, batch, warn, force=force)
+    addresses = {shape: f"{FOLDER}/{page_name(shape)}" for shape in files}
+    if len(files) < len(requests):  # another request than the next one, which will try again
+        request = _request(workspace, step, shown, {shape: requests[shape] for shape in files})
     write_atomically(target, report_of(shown, artifacts, marks, addresses).html())
     with disk_errors():
         folder.mkdir(parents=True, exist_ok=True)
@@ -135,20 +136,6 @@ def write_report(
     )
 
 
-def results_of(workspace: Workspace, step: PlannedStep) -> dict[str, Any]:
-    """Return the results of the group stages that the report shows, by slot; None for what there is not."""
-    artifacts: dict[str, Any] = {}
-    for slot, producer in step.inputs.items():
-        if producer is not None and producer.scope == "shape":
-            continue
-        artifacts[slot] = None
-        if producer is not None:
-            where, manifest = workspace.produced(producer, None)
-            output = manifest.outputs.get(slot) if manifest else None
-            artifacts[slot] = load_artifact(output.kind, slot, where, list(output.files)) if output else None
-    return artifacts
-
-
 def report_of(
     shown: Mapping[str, Any], artifacts: Mapping[str, Any], marks: Mapping[str, Any], pages: Mapping[str, str]
 ) -> Document:
@@ -157,54 +144,3 @@ def report_of(
 
     given = {slot: value for slot, value in artifacts.items() if slot != "reconstructions"}
     return report_document(record=shown, **given, landmarks=marks, pages=pages)
-
-
-def shape_page(
-    shape: str, shown: Mapping[str, Any], artifacts: Mapping[str, Any], workspace: Workspace, marks: Mapping[str, Any]
-) -> PatientPage:
-    """Return what the page of one shape shows."""
-    from ssmpipe.report.patient import PatientPage
-
-    ids = sorted(shown["shapes"])
-    place = ids.index(shape)
-    return PatientPage(
-        id=shape,
-        record=shown,
-        steps=steps_of(workspace, shape, shown["shapes"][shape], artifacts["correspondence"]),
-        correspondence=artifacts["correspondence"],
-        model=artifacts["model"],
-        certificate=artifacts["certificate"],
-        quality=artifacts["quality"],
-        reconstructions=artifacts["reconstructions"],
-        landmarks=marks.get(shape, {}),
-        before=ids[place - 1] if place else None,
-        after=ids[place + 1] if place + 1 < len(ids) else None,
-    )
-
-
-def write_pages(
-    workspace: Workspace,
-    step: PlannedStep,
-    shown: Mapping[str, Any],
-    artifacts: Mapping[str, Any],
-    requests: Mapping[str, str],
-    marks: Mapping[str, Any],
-    *,
-    force: bool = False,
-) -> dict[str, str]:
-    """Write the pages that are not up to date, remove those of shapes that are gone; return the digest of every page."""
-    from ssmpipe.report.patient import build_patient
-
-    folder, pages = workspace.folder(step, None), workspace.out / FOLDER
-    old = WrittenPages.read(folder)
-    files: dict[str, str] = {}
-    for shape, request in requests.items():
-        path = pages / page_name(shape)
-        if force or not old.current(shape, request, path):
-            write_atomically(path, build_patient(shape_page(shape, shown, artifacts, workspace, marks)))
-        files[shape] = file_digest(path)
-    with disk_errors():
-        for shape in set(old.files) - set(files):
-            (pages / page_name(shape)).unlink(missing_ok=True)
-    write_atomically(folder / PAGES, WrittenPages(requests, files).text())
-    return files

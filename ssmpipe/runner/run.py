@@ -8,8 +8,8 @@ import platform
 import shutil
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -252,6 +252,8 @@ class _Run:
                         self._cohort(batch, steps[0])
                     if self.problem:
                         break
+                if any(step.stage == REPORT for step in self.chosen.steps) and not self.problem:
+                    report = self._report(batch, jobs)
         finally:
             self._write_failures()
         seconds = time.perf_counter() - clock
@@ -261,9 +263,6 @@ class _Run:
             "jobs": jobs,
             "peak_rss_mb": round(batch.peak_rss_mb, 1),
         }
-        wants_report = any(step.stage == REPORT for step in self.chosen.steps)
-        if wants_report and not self.problem:
-            report = self._report(totals)
         self._write_run(totals)
         ok = [i for i in self.chosen.shapes if i not in self.failures]
         unproved = any(record.metrics.get("unproved") for record in self.records.values())
@@ -573,13 +572,18 @@ class _Run:
         )
         write_atomically(self.project.out / name, json.dumps(record, indent=1, ensure_ascii=False) + "\n")
 
-    def _report(self, totals: dict[str, Any]) -> Path | None:
+    def _report(self, batch: Batch, jobs: int) -> Path | None:
         from ssmpipe.runner.reporting import write_report
 
         step = next(s for s in self.chosen.steps if s.stage == REPORT)
-        record = run_record(self.project, self.workspace, self._remaining_failures(), self.records, totals, machine())
+        record = run_record(self.project, self.workspace, self._remaining_failures(), self.records, {}, machine())
+        self.console.begin("report", len(self.project.sources))
         try:
-            path, task = write_report(self.project, self.workspace, step, record, force=step.id in self.chosen.forced)
+            own = nullcontext(batch) if type(batch) is Batch else None  # workers of a cluster do not make pages
+            with own or pages_batch(self.project, self.workspace.scratch, jobs, self.console) as here:
+                path, task = write_report(
+                    self.workspace, step, record, here, self.console.warn, force=step.id in self.chosen.forced
+                )
         except DiskError:
             raise
         except SsmpipeError as error:
@@ -588,6 +592,33 @@ class _Run:
         self.records[(step.id, None)] = task
         self.console.say(f"report: {'up to date' if task.status == 'up to date' else f'{task.seconds:.1f} s'}")
         return path
+
+
+@contextmanager
+def pages_batch(project: Project, scratch: Path, jobs: int | None, console: Console) -> Iterator[Batch]:
+    """Yield children of this machine for the pages of shapes, with the limits of the config."""
+    limits = project.config.limits
+    with Batch(
+        jobs=min(jobs or default_jobs(), max(1, len(project.sources))),
+        scratch=scratch,
+        timeout_s=limits.timeout_s,
+        memory_mb=limits.memory_mb,
+        on_event=console.event,
+    ) as batch:
+        yield batch
+
+
+@contextmanager
+def for_report(project: Project, jobs: int | None, console: Console) -> Iterator[tuple[Workspace, Batch]]:
+    """Yield workspace and children of a command that writes the report alone; their scratch folder goes afterwards."""
+    scratch = project.out / SCRATCH / "report"
+    try:
+        with pages_batch(project, scratch, jobs, console) as batch:
+            yield replace(make_workspace(project), scratch=scratch), batch
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+        with suppress(OSError):
+            scratch.parent.rmdir()  # unless a run left something there
 
 
 def machine() -> dict[str, Any]:

@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from ssmpipe.core.errors import ConfigError
 from ssmpipe.runner.config import Project
+from ssmpipe.runner.console import Console
 from ssmpipe.runner.disk import disk_errors, write_atomically, write_bytes_atomically
 from ssmpipe.runner.lock import locked
+from ssmpipe.runner.pages import make_pages, results_of
 from ssmpipe.runner.patients import FOLDER, landmarks_of, page_name
 from ssmpipe.runner.record import read_failures, report_record, run_record
 from ssmpipe.runner.registry import REPORT
-from ssmpipe.runner.run import machine, make_workspace
+from ssmpipe.runner.run import for_report, machine
 
 if TYPE_CHECKING:
     from ssmpipe.report.build import Document
@@ -30,7 +32,14 @@ _RESTORE = "mend the table, or move it away: then all names are given anew"
 Format = Literal["html", "pdf"]
 
 
-def share_report(project: Project, *, form: Format = "html", pseudonymize: bool = False) -> tuple[Path, Path | None]:
+def share_report(
+    project: Project,
+    *,
+    form: Format = "html",
+    pseudonymize: bool = False,
+    jobs: int | None = None,
+    console: Console | None = None,
+) -> tuple[Path, Path | None]:
     """Write the report from what is in the output folder: as a PDF file, or with neutral names, or both.
 
     Parameters
@@ -41,6 +50,10 @@ def share_report(project: Project, *, form: Format = "html", pseudonymize: bool 
     pseudonymize : bool
         Write into a folder of its own, with P001 ... instead of ids. The table of names stands beside that folder, not in it;
         names once given are kept.
+    jobs : int, optional
+        Children that write the pages.
+    console : Console, optional
+        Told of pages that could not be made.
 
     Returns
     -------
@@ -56,21 +69,20 @@ def share_report(project: Project, *, form: Format = "html", pseudonymize: bool 
     SsmpipeError
         If the group stages have not been run.
     """
-    from ssmpipe.report.patient import build_patient
     from ssmpipe.report.pdf import require_pdf
-    from ssmpipe.runner.reporting import NAME, report_of, results_of, shape_page
+    from ssmpipe.runner.reporting import NAME, report_of
 
     step = next((s for s in project.plan.steps if s.stage == REPORT), None)
     if step is None:
         raise ConfigError("this chain has no stage 'report'", "add '- report' to stages")
-    with locked(project.out):
-        workspace = make_workspace(project)
+    console = console or Console()
+    with locked(project.out), for_report(project, jobs, console) as (workspace, batch):
         shown = report_record(run_record(project, workspace, read_failures(project.out), {}, {}, machine()))
         workspace.input_digests(step, None, ())  # says what has not been made yet
         artifacts = results_of(workspace, step)
         if form == "pdf":
             require_pdf()
-        marks: Mapping[str, Any] = landmarks_of(workspace, step, artifacts["correspondence"])
+        marks: Mapping[str, Any] = landmarks_of(workspace, step, artifacts["correspondence"], console.warn)
         if not pseudonymize:
             target = project.out / "report.pdf"
             _write_pdf(target, lambda: report_of(shown, artifacts, marks, {}))
@@ -84,15 +96,14 @@ def share_report(project: Project, *, form: Format = "html", pseudonymize: bool 
             _write_pdf(target, lambda: report_of(hidden, results, hidden_marks, {}))
         else:
             target = folder / NAME
-            pages = {name: f"{FOLDER}/{page_name(name)}" for name in hidden["shapes"]}
+            ids = list(shown["shapes"])
+            failed = make_pages(batch, workspace, ids, shown, folder / FOLDER, console.warn, names)
+            made = sorted(names.names[i] for i in ids if i not in failed)
+            pages = {name: f"{FOLDER}/{page_name(name)}" for name in made}
             write_atomically(target, report_of(hidden, results, hidden_marks, pages).html())
-            for shape in shown["shapes"]:
-                page = shape_page(shape, shown, artifacts, workspace, marks)
-                text = build_patient(page.renamed(names, hidden, results))
-                write_atomically(folder / FOLDER / page_name(names.names[shape]), text)
             with disk_errors():
                 for path in (folder / FOLDER).iterdir():
-                    if path.name not in {page_name(name) for name in hidden["shapes"]}:
+                    if path.name not in {page_name(name) for name in made}:
                         path.unlink()
         return target, key
 

@@ -96,6 +96,20 @@ class Source:
                 f"the file cannot be read ({error.strerror or error})", "check path and permissions"
             ) from error
 
+    def beside(self) -> dict[str, Any]:
+        """Return the slots that are not in the file of the scan: ``transform``, ``landmarks`` and ``info``."""
+        import numpy as np
+
+        from ssmpipe.contract import Landmarks, ShapeInfo
+
+        factor = TO_MM[self.units]
+        points = {name: factor * np.array(p, dtype=np.float64) for name, p in (self.landmarks or {}).items()}
+        return {
+            "transform": np.diag([factor, factor, factor, 1.0]),
+            "landmarks": Landmarks(points, dict(self.roles)),
+            "info": ShapeInfo(self.id, self.side, dict(self.columns)),
+        }
+
     def load(self) -> dict[str, Any]:
         """Read and check the scan; return the artifacts by slot, with warnings under ``"warnings"``.
 
@@ -104,20 +118,9 @@ class Source:
         SsmpipeError
             If the file is not what its suffix says, its size does not fit the anatomy, or a landmark is far from it.
         """
-        import numpy as np
-
-        from ssmpipe.contract import Landmarks, ShapeInfo
-
         factor = TO_MM[self.units]
-        marks = Landmarks(
-            {name: factor * np.array(p, dtype=np.float64) for name, p in (self.landmarks or {}).items()},
-            dict(self.roles),
-        )
-        common = {
-            "transform": np.diag([factor, factor, factor, 1.0]),
-            "landmarks": marks,
-            "info": ShapeInfo(self.id, self.side, dict(self.columns)),
-        }
+        common = self.beside()
+        marks = common["landmarks"]
         if self.kind == "spline":
             return {"surface": self._spline(factor), **common, "warnings": []}
         if self.kind == "outline":

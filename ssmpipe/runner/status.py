@@ -14,7 +14,7 @@ from ssmpipe.runner.config import Project
 from ssmpipe.runner.lock import locked
 from ssmpipe.runner.record import read_failures, run_record
 from ssmpipe.runner.registry import REPORT
-from ssmpipe.runner.run import machine, make_workspace, shortage, with_report
+from ssmpipe.runner.run import for_report, machine, make_workspace, shortage, with_report
 from ssmpipe.runner.suggest import count
 from ssmpipe.runner.workspace import Forecast, forecast
 
@@ -108,8 +108,8 @@ def print_forecast(items: Sequence[Forecast], project: Project, console: Console
     console.say(f"{count(n_run, 'task')} would run, {len(tasks) - n_run} up to date; nothing was touched")
 
 
-def rewrite_report(project: Project) -> Path:
-    """Write the report again from what is in the output folder.
+def rewrite_report(project: Project, jobs: int | None = None, console: Console | None = None) -> Path:
+    """Write the report again from what is in the output folder; pages of shapes in ``jobs`` children.
 
     Raises
     ------
@@ -118,13 +118,14 @@ def rewrite_report(project: Project) -> Path:
     SsmpipeError
         If the group stages have not been run.
     """
+    from ssmpipe.runner.console import Console
     from ssmpipe.runner.reporting import write_report
 
     step = next((s for s in project.plan.steps if s.stage == REPORT), None)
     if step is None:
         raise ConfigError("this chain has no stage 'report'", "add '- report' to stages")
-    with locked(project.out):
-        workspace = make_workspace(project)
+    console = console or Console()
+    with locked(project.out), for_report(project, jobs, console) as (workspace, batch):
         record = run_record(project, workspace, read_failures(project.out), {}, {}, machine())
-        path, _ = write_report(project, workspace, step, record, force=True)
+        path, _ = write_report(workspace, step, record, batch, console.warn, force=True)
     return path
