@@ -78,9 +78,9 @@ def complete_fragment(
             f"{100 * beyond.mean():.0f} % of the fragment lies beyond the rim of the model and was not used; cut it if that is wrong"
         )
     matrix = to_model @ fragment.transform
-    filled, share = (None, 0.0)
+    filled, share, n_left = (None, 0.0, 0)
     if fragment.fill:
-        filled, share = _filled(placed, surface, model, warnings)
+        filled, share, n_left = _filled(placed, surface, model, warnings)
     back = np.asarray(np.linalg.inv(matrix))
     completed = move(surface, back)
     normals = vertex_normals(surface)
@@ -122,6 +122,7 @@ def complete_fragment(
                 "seen_share": float(found.seen.mean()),
                 "expected_error_mm": found.expected_error,
                 "filled_share": share,
+                "holes_left": n_left,
                 "mirrored": bool(np.linalg.det(flip) < 0),
                 "certificate": {"status": PARTIAL},
             },
@@ -129,16 +130,16 @@ def complete_fragment(
     return warnings
 
 
-def _filled(placed: TriMesh, surface: TriMesh, model: ShapeModel, warnings: list[str]) -> tuple[TriMesh, float]:
-    """Return the fragment with its holes filled along the completed surface, and the share of the area that is new.
+def _filled(placed: TriMesh, surface: TriMesh, model: ShapeModel, warnings: list[str]) -> tuple[TriMesh, float, int]:
+    """Return the fragment with its holes filled along the completed surface, the share of the area that is new, the number of holes left.
 
-    Openings that lie at an opening of the model stay open, and so do those beyond it.
+    Openings that lie at an opening of the model stay open, and so do those beyond it; they do not count as holes.
     """
     closed = close_openings(weld(surface) if model.topology in ("cone", "closed") else surface)
     openings = [surface.vertices[loop] for loop in boundary_loops(surface.faces)]
     reach = 0.05 * float(np.linalg.norm(np.ptp(surface.vertices, axis=0)))
-    chosen = []
-    for loop in boundary_loops(placed.faces):
+    chosen, every = [], boundary_loops(placed.faces)
+    for loop in every:
         rim = placed.vertices[loop]
         at_opening = any(float(np.median(cKDTree(o).query(rim)[0])) < reach for o in openings)
         off = float(np.median(np.abs(signed_point_to_mesh(rim, surface))))
@@ -146,13 +147,16 @@ def _filled(placed: TriMesh, surface: TriMesh, model: ShapeModel, warnings: list
             chosen.append(loop)
     if not chosen:
         warnings.append("the fragment has no opening that the model would close; filled.ply is the fragment as it is")
-        return placed, 0.0
+        return placed, 0.0, 0
     try:
         filled, _ = fill_towards(placed, chosen, closed)
     except GeometryError as error:
         warnings.append(f"the holes were not filled: {error.fact}; completed.ply holds the whole surface all the same")
-        return placed, 0.0
-    return filled, float(area(TriMesh(filled.vertices, filled.faces[placed.n_faces :])) / area(filled))
+        return placed, 0.0, len(chosen)
+    n_left = max(0, len(boundary_loops(filled.faces)) - (len(every) - len(chosen)))
+    if n_left:
+        warnings.append(f"{n_left} of {len(chosen)} holes are left; completed.ply holds the whole surface all the same")
+    return filled, float(area(TriMesh(filled.vertices, filled.faces[placed.n_faces :])) / area(filled)), n_left
 
 
 def _beyond(placed: TriMesh, found: Completion) -> Any:

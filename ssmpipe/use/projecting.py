@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -54,6 +54,7 @@ from ssmpipe.runner.sources import (
     find_sources,
     scan_files,
 )
+from ssmpipe.runner.suggest import count
 from ssmpipe.runner.workspace import Workspace
 from ssmpipe.use.completing import PARTIAL, Fragment, complete_fragment, rank, summary
 from ssmpipe.use.model import Model
@@ -202,14 +203,21 @@ def _run(
         closing = Closing("complete", partial(complete_shape, target, content["steps"], options.fill))
     jobs = [Job(workspace.only([s.id]), names, s.id, (s.id,), closing=closing) for s in sources]
     result = ProjectResult(OK)
+    may_be_a_part = not options.partial and sources[0].kind == "mesh" and len(model.shape_model.faces) > 0
+    with disk_errors():
+        for source in sources:  # what an earlier call wrote must not stay when this one fails
+            shutil.rmtree(patient_folder(out, source.id), ignore_errors=True)
 
     def finished(job: Job, outcome: Outcome) -> None:
         for record in outcome.records:
             for warning in record.warnings if record.status == "done" else ():
                 console.warn(f"{record.shape}, {record.step}: {warning}")
         if outcome.failure is not None:
-            result.failures[outcome.failure.shape] = outcome.failure
-            console.error(f"failed: {outcome.failure.line}")
+            failure = outcome.failure
+            if may_be_a_part:
+                failure = _with_hint(failure, outcome)
+            result.failures[failure.shape] = failure
+            console.error(f"failed: {failure.line}")
             return
         row = read_json(patient_folder(out, str(job.shape)) / "projection.json")
         result.rows[str(job.shape)] = row
@@ -232,13 +240,38 @@ def _run(
         write_table(out / "scores.csv", scores_table(result.rows, len(target.model.variances)))
         write_json(out / "project.json", _record(model, target, sources, result))
         shutil.rmtree(workspace.scratch, ignore_errors=True)
-    if any(f.internal for f in result.failures.values()):
-        result.exit_code = INTERNAL if not result.rows else QUARANTINED
-    elif result.failures or any(
-        row["certificate"]["status"] not in ("proved", PARTIAL) for row in result.rows.values()
-    ):
-        result.exit_code = QUARANTINED
+    result.exit_code = exit_code_of(result)
     return result
+
+
+def exit_code_of(result: ProjectResult) -> int:
+    """Return the exit code: 3 where a scan failed, a map is not proved one-to-one, or holes that were to be filled are left.
+
+    Examples
+    --------
+    >>> exit_code_of(ProjectResult(0, {"a": {"certificate": {"status": "partial"}, "holes_left": 1}}))
+    3
+    """
+    if result.failures and all(f.internal for f in result.failures.values()) and not result.rows:
+        return INTERNAL
+    unproved = any(row["certificate"]["status"] not in ("proved", PARTIAL) for row in result.rows.values())
+    holes = any(row.get("holes_left") for row in result.rows.values())
+    return QUARANTINED if result.failures or unproved or holes else OK
+
+
+def _with_hint(failure: Failure, outcome: Outcome) -> Failure:
+    """Return the failure with the remedy for a fragment: the file could be read, and the stages made nothing of it.
+
+    Examples
+    --------
+    >>> small = Failure("a", "orient", "a.ply", "bounding box diagonal is 60 mm, femur-distal expects 90-700 mm", "check the file")
+    >>> _with_hint(small, Outcome(())).remedy
+    'check the file; if it shows a part only: --partial'
+    """
+    was_read = bool(outcome.records) or "bounding box" in failure.error
+    if failure.internal or not was_read:
+        return failure
+    return replace(failure, remedy="; ".join(x for x in (failure.remedy, "if it shows a part only: --partial") if x))
 
 
 def _sources(
@@ -262,6 +295,8 @@ def _sources(
     rows = dict(read_cohort(options.cohort)) if options.cohort is not None else {}
     rows = {i: {"side": options.side or "", **rows.get(i, {})} for i in files}
     diagonal = content.get("diagonal_mm")
+    if diagonal and options.partial:
+        diagonal = (0.0, diagonal[1])  # a part may be small
     sources, warnings = find_sources(
         files,
         cohort=rows,
@@ -561,7 +596,8 @@ def _line(row: Mapping[str, Any]) -> str:
     if row["certificate"]["status"] == PARTIAL:
         text += f"{100 * row['seen_share']:.0f} % seen, {row['from_scan_mean_mm']:.3g} mm from the fragment"
         expected = row.get("expected_error_mm")
-        return text + (f", missing part expected within {expected:.2g} mm" if expected is not None else "")
+        text += f", missing part expected within {expected:.2g} mm" if expected is not None else ""
+        return text + (f", {count(row['holes_left'], 'hole')} left open" if row.get("holes_left") else "")
     text += f"residual {row['residual_rms_mm']:.3g} mm"
     if row.get("to_scan_mean_mm") is not None:
         text += f", reconstruction {row['to_scan_mean_mm']:.3g} mm from the scan (95 %: {row['to_scan_p95_mm']:.3g})"

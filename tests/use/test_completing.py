@@ -10,12 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.mesh.distance import point_to_mesh
 from ssmpipe.core.mesh.topology import boundary_loops
 from ssmpipe.core.model.shape_model import Chain
 from ssmpipe.io.arrays import read_npz
 from ssmpipe.io.meshes import read_mesh, write_mesh
 from ssmpipe.io.models import write_model
+from ssmpipe.use.completing import _filled
+from ssmpipe.use.projecting import ProjectResult, exit_code_of
 from tests.core.model.test_completion import fragment, setting
 from tests.support.eggs import ssmpipe
 
@@ -85,3 +88,52 @@ def test_the_scan_stays_and_its_hole_is_filled(completed: Path) -> None:
 def test_the_vtp_carries_the_uncertainty(completed: Path) -> None:
     text = (completed / "out/patients/part/completed.vtp").read_text()
     assert all(f'Name="{name}"' in text for name in ("sd_mm", "sd_along_normal_mm", "seen"))
+
+
+def test_holes_that_cannot_be_filled_are_counted_and_end_with_3(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, _, whole = setting()
+    part, _ = fragment(whole, 0, 0.75)
+    given, share, n_left = _filled(part, whole, model, [])
+    assert (share > 0.1, n_left) == (True, 0)
+
+    def refuse(*_: object) -> None:
+        raise GeometryError("the patch folds over", "")
+
+    monkeypatch.setattr("ssmpipe.use.completing.fill_towards", refuse)
+    warnings: list[str] = []
+    given, share, n_left = _filled(part, whole, model, warnings)
+    assert (given.n_faces, share, n_left) == (part.n_faces, 0.0, 1)
+    assert "the holes were not filled: the patch folds over" in warnings[0]
+    row = {"certificate": {"status": "partial"}, "holes_left": n_left}
+    assert exit_code_of(ProjectResult(0, {"part": row})) == 3
+    assert exit_code_of(ProjectResult(0, {"part": {**row, "holes_left": 0}})) == 0
+
+
+def test_a_second_call_that_fails_leaves_nothing_of_the_first(completed: Path) -> None:
+    out = completed / "out"
+    assert (out / "patients/part/completed.ply").exists()
+    again = completed / "again"
+    again.mkdir()
+    (again / "part.ply").write_text("ply\n")
+    code, text = ssmpipe("project", completed / "model.npz", again / "part.ply", "-o", out, "--partial", "-j", "1")
+    assert code == 3, text
+    assert "--partial" not in text, "the file cannot be read: no word of fragments"
+    assert not (out / "patients/part").exists()
+
+
+def test_a_fragment_that_the_stages_refuse_is_told_of_partial(completed: Path, tmp_path: Path) -> None:
+    names = ("repair", "parameterize", "sample", "fit")
+    steps = [{"id": n, "stage": n, "version": 1, "options": {}, "from": {}} for n in names]
+    steps[1]["options"] = {"topology": "closed"}
+    content = {**CHAIN, "diagonal_mm": [1e4, 1e5], "anatomy": "femur-distal", "steps": [*steps, CHAIN["steps"][-1]]}
+    model, _, _ = setting()
+    write_model(tmp_path / "model.npz", replace(model, lambda_cut=0.01, chain=Chain(json.dumps(content))))
+    code, text = ssmpipe("project", tmp_path / "model.npz", completed / "part.ply", "-o", tmp_path / "out", "-j", "1")
+    assert code == 3, text
+    assert "if it shows a part only: --partial" in text
+    failure = json.loads((tmp_path / "out/failures.json").read_text())["part"]
+    assert failure["remedy"].endswith("--partial")
+    code, text = ssmpipe(
+        "project", tmp_path / "model.npz", completed / "part.ply", "-o", tmp_path / "out", "-j", "1", "--partial"
+    )
+    assert code == 0, text
