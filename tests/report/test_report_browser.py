@@ -249,6 +249,13 @@ def test_an_outline_has_distances_without_a_sign(tmp_path: Path) -> None:
         browser.evaluate(SETTLE)
         assert browser.evaluate("document.getElementById('viewer').dataset.state") == "ready"
         mean = picture(browser)
+        row = (  # how many pixels of the middle row are not background: the outline crosses it twice
+            "(() => { const c = document.querySelector('#viewer canvas'), x = document.createElement('canvas');"
+            " x.width = c.width; x.height = c.height; const g = x.getContext('2d'); g.drawImage(c, 0, 0);"
+            " const d = g.getImageData(0, Math.floor(c.height / 2), c.width, 1).data; let n = 0;"
+            " for (let i = 0; i < d.length; i += 4) n += Math.abs(d[i] - d[0]) > 60; return n / (devicePixelRatio || 1); })()"
+        )
+        assert 5 <= browser.evaluate(row) <= 12  # two lines of three to four pixels
         slide(browser, 0, 2)
         assert picture(browser) != mean
         assert browser.evaluate("document.querySelector('[data-control=low]').textContent") == "0"

@@ -20,6 +20,7 @@ function start(root) {
   const bone = linear(flat ? stops[0] : data.bone);
   const panes = [0, 1].map(() => ["points", "normals", "colours"].map(() => new Float32Array(model.nPoints * 3)));
   const current = new Float32Array(model.nModes); // sliders show it in steps of 0.1; a patient's scores are kept exactly
+  const bar = root.querySelector("[data-control=ramp]");
   let walk = null;
 
   function meanScores(members) {
@@ -49,10 +50,11 @@ function start(root) {
     return found ? linear(found.colour) : bone;
   }
 
-  function paint(colours, distance, limit) {
+  function paint(colours, distance, limit, unsigned) {
     for (let i = 0; i < model.nPoints; i++) {
-      const share = flat ? distance[i] / limit : 0.5 + distance[i] / limit / 2;
-      const x = Math.min(1, Math.max(0, share)) * (ramp.length - 1);
+      const share = unsigned ? distance[i] / limit : 0.5 + distance[i] / limit / 2;
+      const from = unsigned && !flat ? (ramp.length - 1) / 2 : 0; // without a sign: the half of the scale that lies outside
+      const x = from + Math.min(1, Math.max(0, share)) * (ramp.length - 1 - from);
       const k = Math.min(ramp.length - 2, Math.floor(x));
       for (let d = 0; d < 3; d++) colours[3 * i + d] = ramp[k][d] + (x - k) * (ramp[k + 1][d] - ramp[k][d]);
     }
@@ -72,11 +74,12 @@ function start(root) {
       if (how === "other") return second && k === 0 ? model.distances(points, shown[1]) : null;
       return how === "distance" ? model.distances(points) : null;
     }).map((map) => (map && (walk || map.some((x) => x !== 0)) ? map : null)); // the mean itself is plain
+    const unsigned = flat || (how.startsWith("map") && data.maps[Number(how.slice(3))].signed === false);
     const limit = walk ? walk.limit : niceCeiling(Math.max(0, ...maps.filter(Boolean).map(robustMaximum)));
     shown.forEach((points, k) => {
       const [, normals, colours] = panes[k];
       model.normals(points, normals);
-      if (maps[k]) paint(colours, maps[k], limit);
+      if (maps[k]) paint(colours, maps[k], limit, unsigned);
       else plain(colours, how === "group" ? groupColour(k ? second : first) : bone);
       view.update(k, points, normals, colours, data.landmarks ?? [], [first, second][k]);
     });
@@ -85,10 +88,12 @@ function start(root) {
     $("legend").hidden = !mapped;
     if (mapped) {
       const about = how.startsWith("map") ? words("colour") : how === "other" ? `Distance from ${words("other")}` : "Distance from the mean";
-      const signs = flat ? "" : how.startsWith("map") ? ", outwards positive" : ", along the outward normal of the mean";
+      const signs = unsigned ? "" : how.startsWith("map") ? ", outwards positive" : ", along the outward normal of the mean";
       $("caption").textContent = about + signs;
-      $("low").textContent = flat ? "0" : `\u2212${limit} ${data.unit}`;
-      $("high").textContent = `+${limit} ${data.unit}`;
+      $("low").textContent = unsigned ? "0" : `\u2212${limit} ${data.unit}`;
+      const shades = unsigned && !flat ? stops.slice((stops.length - 1) / 2) : stops;
+      if (bar) bar.style.background = `linear-gradient(90deg, ${shades.join(",")})`;
+      $("high").textContent = `${unsigned && !flat ? "" : "+"}${limit} ${data.unit}`;
     }
     $("name-a").hidden = $("name-b").hidden = layout !== "beside";
     $("name-a").textContent = words("patient");
@@ -163,8 +168,6 @@ function start(root) {
     link.href = view.snapshot();
     link.click();
   });
-  const bar = root.querySelector("[data-control=ramp]");
-  if (bar) bar.style.background = `linear-gradient(90deg, ${stops.join(",")})`;
   root.querySelectorAll("[data-swatch]").forEach((s) => { s.style.background = s.dataset.swatch; });
   view.resize();
   view.look(...data.look);

@@ -1,11 +1,15 @@
 // The picture: one or two surfaces (or curves) with vertex colours, grid lines drawn by the shader, landmarks, one camera, lights.
 import {
-  AmbientLight, BufferAttribute, BufferGeometry, Color, DirectionalLight, DoubleSide, HemisphereLight, InstancedMesh, Line,
-  LineBasicMaterial, Matrix4, Mesh, MeshBasicMaterial, MeshStandardMaterial, PerspectiveCamera, Scene, Spherical, Sphere, SphereGeometry,
+  AmbientLight, BufferAttribute, BufferGeometry, Color, DirectionalLight, DoubleSide, HemisphereLight, InstancedMesh,
+  Matrix4, Mesh, MeshBasicMaterial, MeshStandardMaterial, PerspectiveCamera, Scene, Spherical, Sphere, SphereGeometry,
   Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { Line2 } from "three/addons/lines/Line2.js";
+import { LineGeometry } from "three/addons/lines/LineGeometry.js";
+import { LineMaterial } from "three/addons/lines/LineMaterial.js";
 
+const LINE_WIDTH = 3.5; // of a curve [CSS pixels]; plain lines of WebGL are one pixel wide whatever one asks for
 const PATTERNS = { none: 0, lines: 1, checker: 2 };
 
 /** Triangle corners as own vertices, so that a periodic grid needs no duplicated points; a pole lies between its neighbours. */
@@ -32,16 +36,18 @@ function cornerGrid(model, topology) {
 class Pane {
   constructor(view, topology, landmarks) {
     const { model } = view;
-    this.geometry = new BufferGeometry();
     const isCurve = model.faces.length === 0;
+    this.geometry = isCurve ? new LineGeometry() : new BufferGeometry();
     const count = isCurve ? model.nPoints + (topology === "curve-closed" ? 1 : 0) : model.faces.length;
     this.corners = isCurve ? Uint32Array.from({ length: count }, (_, i) => i % model.nPoints) : model.faces;
-    for (const name of ["position", "normal", "color"]) {
-      this.geometry.setAttribute(name, new BufferAttribute(new Float32Array(count * 3), 3));
-    }
     if (isCurve) {
-      this.object = new Line(this.geometry, new LineBasicMaterial({ vertexColors: true }));
+      this.line = { position: new Float32Array(count * 3), color: new Float32Array(count * 3) };
+      this.object = new Line2(this.geometry, new LineMaterial({ vertexColors: true, linewidth: LINE_WIDTH }));
+      this.object.frustumCulled = false;
     } else {
+      for (const name of ["position", "normal", "color"]) {
+        this.geometry.setAttribute(name, new BufferAttribute(new Float32Array(count * 3), 3));
+      }
       this.geometry.setAttribute("gridPosition", new BufferAttribute(cornerGrid(model, topology), 2));
       this.object = new Mesh(this.geometry, surfaceMaterial(view.pattern, view.step));
     }
@@ -123,13 +129,20 @@ export class View {
   update(which, points, normals, colours, landmarks, key) {
     const pane = this.panes[which];
     for (const [name, source] of [["position", points], ["normal", normals], ["color", colours]]) {
-      const attribute = pane.geometry.getAttribute(name);
+      const attribute = pane.line ? null : pane.geometry.getAttribute(name);
+      const array = pane.line ? pane.line[name] : attribute.array;
+      if (!array) continue; // a curve has no normals
       pane.corners.forEach((p, corner) => {
-        for (let d = 0; d < 3; d++) attribute.array[3 * corner + d] = source[3 * p + d];
+        for (let d = 0; d < 3; d++) array[3 * corner + d] = source[3 * p + d];
       });
-      attribute.needsUpdate = true;
+      if (attribute) attribute.needsUpdate = true;
     }
-    pane.geometry.computeBoundingSphere();
+    if (pane.line) {
+      pane.geometry.setPositions(pane.line.position);
+      pane.geometry.setColors(pane.line.color);
+    } else {
+      pane.geometry.computeBoundingSphere();
+    }
     if (pane.marks) {
       const matrix = new Matrix4(), place = new Vector3();
       let k = 0;
