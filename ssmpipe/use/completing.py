@@ -60,10 +60,35 @@ class Fragment:
     fill: bool
 
 
+@dataclass(frozen=True, eq=False)
+class Completed:
+    """A fragment that was completed: what ``projection.json`` says, and what its page shows, in the frame of the model.
+
+    Parameters
+    ----------
+    numbers : mapping
+    warnings : sequence of str
+    points, deviation : (n_P, 3), (n_P,)
+        The whole surface, and its standard deviation [mm].
+    placed, distance : TriMesh, (n,)
+        The fragment, and its signed distance from that surface [mm]; zero where it lies beyond the rim.
+    matrix : (4, 4)
+        From the scan.
+    """
+
+    numbers: Mapping[str, Any]
+    warnings: Sequence[str]
+    points: Floats
+    deviation: Floats
+    placed: TriMesh
+    distance: Floats
+    matrix: Floats
+
+
 def complete_fragment(
     model: ShapeModel, remainder: Remainder, others: LeaveOneOut, fragment: Fragment, folder: Path, shape: str
-) -> list[str]:
-    """Complete a fragment and write ``folder``; return warnings."""
+) -> Completed:
+    """Complete a fragment and write ``folder``."""
     warnings: list[str] = []
     whole = clean(fragment.mesh, components="largest").mesh
     light = whole if whole.n_faces <= _FACES else decimate(whole, _FACES).mesh
@@ -88,6 +113,22 @@ def complete_fragment(
     spread = np.sqrt((found.deviation**2).mean(axis=1))
     to_scan = -signed_point_to_mesh(found.points[found.seen], placed)
     distance = float(np.linalg.norm(found.scores))
+    numbers = {
+        "id": shape,
+        "side": fragment.side or "",
+        "scores": found.scores,
+        "deviations": np.sqrt(np.diagonal(found.covariance)),
+        "mahalanobis": distance,
+        "mahalanobis_p": rank(distance, others.mahalanobis),
+        **summary("to_scan", to_scan),
+        **summary("from_scan", from_scan),
+        "seen_share": float(found.seen.mean()),
+        "expected_error_mm": found.expected_error,
+        "filled_share": share,
+        "holes_left": n_left,
+        "mirrored": bool(np.linalg.det(flip) < 0),
+        "certificate": {"status": PARTIAL},
+    }
     with disk_errors():
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
@@ -108,26 +149,10 @@ def complete_fragment(
                 "transform": matrix,
             },
         )
-        write_json(
-            folder / "projection.json",
-            {
-                "id": shape,
-                "side": fragment.side or "",
-                "scores": found.scores,
-                "deviations": np.sqrt(np.diagonal(found.covariance)),
-                "mahalanobis": distance,
-                "mahalanobis_p": rank(distance, others.mahalanobis),
-                **summary("to_scan", to_scan),
-                **summary("from_scan", from_scan),
-                "seen_share": float(found.seen.mean()),
-                "expected_error_mm": found.expected_error,
-                "filled_share": share,
-                "holes_left": n_left,
-                "mirrored": bool(np.linalg.det(flip) < 0),
-                "certificate": {"status": PARTIAL},
-            },
-        )
-    return warnings
+        write_json(folder / "projection.json", numbers)
+    apart = np.zeros(placed.n_vertices)
+    apart[~beyond] = from_scan
+    return Completed(numbers, warnings, found.points, spread, placed, apart, matrix)
 
 
 def _filled(placed: TriMesh, surface: TriMesh, model: ShapeModel, warnings: list[str]) -> tuple[TriMesh, float, int]:

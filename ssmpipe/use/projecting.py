@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,7 @@ from ssmpipe.core.correspondence.choices import boundary_of, closes, start_of
 from ssmpipe.core.correspondence.newcomer import FixedCohort, Newcomer, bring_in
 from ssmpipe.core.correspondence.optimize import EngineOptions
 from ssmpipe.core.errors import ConfigError
+from ssmpipe.core.evaluation.quality import Geometry
 from ssmpipe.core.mesh.distance import signed_point_to_mesh
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.model.posterior import NOWHERE, Observations, posterior
@@ -35,10 +36,11 @@ from ssmpipe.io.mesh_formats import vtp
 from ssmpipe.io.meshes import MESH_SUFFIXES, write_mesh
 from ssmpipe.io.outlines import write_outline
 from ssmpipe.io.tables import read_cohort, write_table
+from ssmpipe.report.projected import ProjectedPage, build_projected
 from ssmpipe.runner.batch import Batch, Closing, Failure, Job, Outcome
 from ssmpipe.runner.chain import chain_as_steps, optimize_options, read_content
 from ssmpipe.runner.console import Console
-from ssmpipe.runner.disk import disk_errors
+from ssmpipe.runner.disk import disk_errors, write_atomically
 from ssmpipe.runner.fingerprint import file_digest
 from ssmpipe.runner.lock import locked
 from ssmpipe.runner.plan import SCAN, Plan, make_plan
@@ -103,19 +105,27 @@ class Target:
     others : LeaveOneOut
         Every training shape in the model of the others.
     remainder : Remainder
+    name : str
+        Of the file of the model.
+    unit : str
+        Of its lengths, in words.
     """
 
     model: ShapeModel
     options: EngineOptions
     others: LeaveOneOut
     remainder: Remainder
+    name: str = "model.npz"
+    unit: str = "mm"
 
     @classmethod
     def of(cls, model: Model, content: Mapping[str, Any]) -> Target:
         """Return what follows from a model and its chain."""
         shapes = model.shape_model
         found = leave_one_out(shapes.training_points)
-        return cls(shapes, engine_options(shapes, content), found, fit_remainder(found.residuals, shapes.mean))
+        remainder = fit_remainder(found.residuals, shapes.mean)
+        unit = "file units" if content.get("units") == "none" else "mm"
+        return cls(shapes, engine_options(shapes, content), found, remainder, model.path.name, unit)
 
 
 @dataclass
@@ -207,6 +217,7 @@ def _run(
     with disk_errors():
         for source in sources:  # what an earlier call wrote must not stay when this one fails
             shutil.rmtree(patient_folder(out, source.id), ignore_errors=True)
+            page_path(out, source.id).unlink(missing_ok=True)
 
     def finished(job: Job, outcome: Outcome) -> None:
         for record in outcome.records:
@@ -359,8 +370,30 @@ def project_shape(target: Target, workspace: Workspace, shape: str) -> list[str]
         to_model = new.matrix @ transform @ np.linalg.inv(own)
         observed = _moved(observed, to_model)
     written = Projection.of(target, _poles_merged(new, model), new, new.matrix @ transform, observed)
-    written.write(patient_folder(workspace.out, shape), shape, workspace.sources[shape].side)
-    return warnings
+    source = workspace.sources[shape]
+    written.write(patient_folder(workspace.out, shape), shape, source.side)
+    told = [*_stage_warnings(workspace, shape), *((STEP, text) for text in warnings)]
+    return warnings + write_page(workspace.out, shape, lambda: written.page(source, told))
+
+
+def _stage_warnings(workspace: Workspace, shape: str) -> list[tuple[str, str]]:
+    manifests = [(step.id, workspace.manifest(workspace.folder(step, shape))) for step in workspace.plan.steps]
+    return [(name, text) for name, manifest in manifests if manifest is not None for text in manifest.warnings]
+
+
+def page_path(out: Path, shape: str) -> Path:
+    """Return where the page of one patient is written."""
+    return out / f"{shape}.html"
+
+
+def write_page(out: Path, shape: str, make: Callable[[], ProjectedPage]) -> list[str]:
+    """Write the page of one patient; return a warning where that cannot be done, since the numbers are there all the same."""
+    try:
+        text = build_projected(make())
+    except Exception as error:
+        return [f"its page could not be made ({type(error).__name__}: {error}); the numbers are in patients/{shape}"]
+    write_atomically(page_path(out, shape), text)
+    return []
 
 
 def complete_shape(
@@ -371,8 +404,39 @@ def complete_shape(
     scan = source.load()
     fragment = Fragment(scan["mesh"], scan["transform"], source.side, steps, fill)
     folder = patient_folder(workspace.out, shape)
-    others = target.others
-    return [*scan["warnings"], *complete_fragment(target.model, target.remainder, others, fragment, folder, shape)]
+    part = complete_fragment(target.model, target.remainder, target.others, fragment, folder, shape)
+    warnings = [*scan["warnings"], *part.warnings]
+    page = ProjectedPage(
+        **_about(target, source),
+        numbers=part.numbers,
+        points=part.points,
+        matrix=part.matrix,
+        map_name="Standard deviation of the completed surface",
+        map_values=part.deviation,
+        scan=Geometry(part.placed.vertices, part.placed.faces),
+        scan_distance=part.distance,
+        warnings=[("complete", text) for text in warnings],
+    )
+    return warnings + write_page(workspace.out, shape, lambda: page)
+
+
+def _about(target: Target, source: Source) -> dict[str, Any]:
+    """Return what the pages of scans and of fragments have in common."""
+    return {
+        "id": source.id,
+        "file": source.path.name,
+        "side": source.side or "",
+        "unit": target.unit,
+        "version": __version__,
+        "model_name": target.name,
+        "model": target.model,
+        "mahalanobis": target.others.mahalanobis,
+        "residuals": _rms_each(target.others.residuals),
+    }
+
+
+def _rms_each(residuals: Floats) -> Floats:
+    return np.asarray(np.sqrt((residuals**2).sum(axis=2).mean(axis=1)))
 
 
 def _check_topology(spline: Any, model: ShapeModel) -> None:
@@ -473,7 +537,7 @@ class Projection:
         others = self.target.others
         distance = float(np.linalg.norm(self.scores))
         residual = _rms(self.points - self.reconstruction)
-        training = np.sqrt((others.residuals**2).sum(axis=2).mean(axis=1))
+        training = _rms_each(others.residuals)
         verdict = self.new.certificate
         to_scan, to_model = self.distances()
         return {
@@ -513,6 +577,23 @@ class Projection:
         return (
             -signed_point_to_mesh(self.reconstruction, self.observed),
             signed_point_to_mesh(self.observed.vertices, model_surface),
+        )
+
+    def page(self, source: Source, warnings: Sequence[tuple[str, str]]) -> ProjectedPage:
+        """Return what the page of the shape shows."""
+        to_scan, to_model = self.distances()
+        mesh = self.observed if isinstance(self.observed, TriMesh) else None
+        return ProjectedPage(
+            **_about(self.target, source),
+            numbers=self.numbers(source.id, source.side),
+            points=self.points,
+            reconstruction=self.reconstruction,
+            matrix=self.matrix,
+            map_name="Distance of the scan from its reconstruction",
+            map_values=to_scan if len(to_scan) else None,
+            scan=Geometry(mesh.vertices, mesh.faces) if mesh is not None else None,
+            scan_distance=to_model if mesh is not None else None,
+            warnings=warnings,
         )
 
     def write(self, folder: Path, shape: str, side: str | None) -> None:

@@ -6,7 +6,9 @@ from typing import Any
 import pytest
 
 from ssmpipe.report.patient import build_patient
+from ssmpipe.report.projected import build_projected
 from tests.report.test_patient import HOSTILE, example
+from tests.report.test_projected import part
 from tests.report.test_report_browser import SETTLE, choose, picture
 from tests.support.chromium import Browser, find_chromium
 from tests.support.small_run import small_run
@@ -65,3 +67,25 @@ def test_nothing_sticks_out_on_a_telephone(page: Browser) -> None:
     page.evaluate(SETTLE)
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     page.send("Emulation.clearDeviceMetricsOverride")
+
+
+def test_the_page_of_a_projected_fragment_shows_its_uncertainty_without_a_sign(tmp_path: Path) -> None:
+    path = tmp_path / "new_07.html"
+    path.write_text(build_projected(part(warnings=[(HOSTILE, HOSTILE)])), encoding="utf-8")
+    with Browser() as browser:
+        browser.open(path)
+        browser.evaluate(SETTLE)
+        assert browser.evaluate("document.getElementById('viewer').dataset.state") == "ready"
+        words = [
+            browser.evaluate(f"document.querySelector('[data-control={k}]').textContent")
+            for k in ("caption", "low", "high")
+        ]
+        assert words == ["Distance of the scan from its reconstruction", "0", "1 mm"]
+        first = picture(browser)
+        choose(browser, "colour", "distance")
+        assert picture(browser) != first
+        assert browser.evaluate("document.querySelector('[data-control=low]').textContent").startswith("−")
+        assert browser.evaluate("window.attacked") is None
+        assert browser.of("Runtime.exceptionThrown") == []
+        urls = [event["request"]["url"] for event in browser.of("Network.requestWillBeSent")]
+        assert [url for url in urls if not url.startswith(("file:", "data:"))] == []

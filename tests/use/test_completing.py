@@ -112,6 +112,7 @@ def test_holes_that_cannot_be_filled_are_counted_and_end_with_3(monkeypatch: pyt
 def test_a_second_call_that_fails_leaves_nothing_of_the_first(completed: Path) -> None:
     out = completed / "out"
     assert (out / "patients/part/completed.ply").exists()
+    assert "completed by the model model.npz" in (out / "part.html").read_text()
     again = completed / "again"
     again.mkdir()
     (again / "part.ply").write_text("ply\n")
@@ -119,6 +120,7 @@ def test_a_second_call_that_fails_leaves_nothing_of_the_first(completed: Path) -
     assert code == 3, text
     assert "--partial" not in text, "the file cannot be read: no word of fragments"
     assert not (out / "patients/part").exists()
+    assert not (out / "part.html").exists()
 
 
 def test_a_fragment_that_the_stages_refuse_is_told_of_partial(completed: Path, tmp_path: Path) -> None:

@@ -105,6 +105,13 @@ def test_corresponded_points_lie_on_the_scan(strangers: Path, projected: Path) -
     assert point_to_segments(places, scan.points, scan.edges)[0].max() < 0.2
 
 
+def test_every_patient_has_a_page(projected: Path) -> None:
+    assert sorted(path.name for path in projected.glob("*.html")) == ["egg20.html", "egg21.html", "egg3.html"]
+    html = (projected / "egg20.html").read_text()
+    assert f"{float(rows(projected)['egg20']['mahalanobis']):.3g}" in html
+    assert "file units" in html
+
+
 def test_what_cannot_be_projected_is_refused_before_any_work(result: Path, strangers: Path, tmp_path: Path) -> None:
     code, text = ssmpipe("project", result, tmp_path / "none.csv", "-o", tmp_path / "out")
     assert (code, "does not exist; try: check the path" in text) == (2, True)
