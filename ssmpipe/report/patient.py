@@ -27,7 +27,7 @@ from ssmpipe.report.section import ReportData, Section
 from ssmpipe.report.sections.grids import area_factors, grid_nodes, grid_picture
 from ssmpipe.report.sections.modes import nice_ceiling
 from ssmpipe.report.sections.quality import BLOCKS, WORDS, quality_rows
-from ssmpipe.report.sections.summary import Tile
+from ssmpipe.report.sections.summary import Tile, refuted_poles
 from ssmpipe.report.sections.viewer import looks_from
 from ssmpipe.report.solid import good_view, picture, view_axes
 from ssmpipe.report.units import record_without_mm
@@ -171,7 +171,10 @@ def _summary(page: PatientPage, shape: Mapping[str, Any]) -> Section:
     if entry:
         status = str(entry.get("status", "undecided"))
         remark = f"area factor at least {number(entry.get('lower_bound'))}"
-        tiles.append(Tile(status, "one-to-one", remark, {"proved": "good", "refuted": "bad"}.get(status, "")))
+        tone = {"proved": "good", "refuted": "bad"}.get(status, "")
+        if refuted_poles({page.id: entry}):
+            remark, tone = f"inside of the domain; the surface may fold at a pole; {remark}", "bad"
+        tiles.append(Tile(status, "one-to-one", remark, tone))
     if k is not None and page.model is not None and page.model.scores.size:
         scores = page.model.scores[k]
         largest = int(np.abs(scores).argmax())

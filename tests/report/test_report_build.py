@@ -11,6 +11,7 @@ import pytest
 
 from ssmpipe.contract import Table
 from ssmpipe.report.build import build_report
+from ssmpipe.report.patient import PatientPage, build_patient
 from ssmpipe.report.payload import viewer_payload
 from tests.support.small_run import SmallRun, planar_run, small_run
 
@@ -126,6 +127,20 @@ def test_an_almost_empty_record_still_gives_a_report(run: SmallRun) -> None:
     }
     keys = re.findall(r'<section id="([a-z]+)"', build_report(**bare))
     assert keys == ["summary", "model", "modes", "scores", "grids", "methods", "provenance"]
+
+
+def test_a_refuted_pole_qualifies_the_certificate(run: SmallRun) -> None:
+    proved = build_report(**run.arguments())
+    first = sorted(run.certificate["shapes"])[0]
+    shapes = {i: dict(one) for i, one in run.certificate["shapes"].items()}
+    shapes[first]["poles"] = [{"v": 1, "status": "refuted"}]
+    html = build_report(**{**run.arguments(), "certificate": {"shapes": shapes}})
+    assert "not at a pole of 1 shape" in html
+    assert "no part of a surface is used twice" in proved
+    assert "no part of a surface is used twice" not in html
+    assert "it may fold there" in html
+    page = PatientPage(first, run.record, [], run.correspondence, run.model, {"shapes": shapes})
+    assert "the surface may fold at a pole" in build_patient(page)
 
 
 def test_a_refuted_certificate_is_said_in_words(run: SmallRun) -> None:

@@ -44,17 +44,38 @@ def _verdict(data: ReportData) -> tuple[Tile, str]:
     statuses = Counter(str(entry.get("status", "undecided")) for entry in shapes.values())
     proved = statuses["proved"]
     lowest = min((to_float(entry.get("lower_bound")) for entry in shapes.values()), default=math.nan)
-    tone = "bad" if statuses["refuted"] else "good" if proved == len(shapes) else ""
-    tile = Tile(f"{proved} of {len(shapes)}", "proved one-to-one", f"smallest area factor {number(lowest)}", tone)
+    at_pole = refuted_poles(shapes)
+    tone = "bad" if statuses["refuted"] or at_pole else "good" if proved == len(shapes) else ""
+    remark = f"smallest area factor {number(lowest)}"
+    if at_pole:
+        remark = f"inside of the domain; not at a pole of {count(len(at_pole), 'shape')}, {remark}"
+    tile = Tile(f"{proved} of {len(shapes)}", "proved one-to-one", remark, tone)
     if statuses["refuted"]:
         folded = ", ".join(sorted(key for key, entry in shapes.items() if entry.get("status") == "refuted"))
         return tile, f"The map folds over on {folded}: do not use these shapes, and treat the model with care."
+    if proved == len(shapes) and at_pole:
+        return tile, (
+            "On every shape the map between the parameter domains is proved to be one-to-one. At a pole of "
+            f"{', '.join(at_pole)} the surface itself is not proved to have one tangent plane and to run once around it: it may fold "
+            "there, so look at the region around the pole before using these shapes."
+        )
     if proved == len(shapes):
         return tile, (
             "On every shape the map between the surfaces is proved to be one-to-one: no part of a surface is used twice, none is "
             "left out. This is a bound over the whole surface, not a sample of it."
         )
     return tile, f"For {count(len(shapes) - proved, 'shape')} it is not decided whether the map is one-to-one."
+
+
+def refuted_poles(shapes: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return the shapes of a certificate whose tangent plane at a pole is refuted.
+
+    Examples
+    --------
+    >>> refuted_poles({"a": {"poles": [{"status": "proved"}, {"status": "refuted"}]}, "b": {"status": "proved"}})
+    ['a']
+    """
+    return sorted(i for i, one in shapes.items() if any(p.get("status") != "proved" for p in one.get("poles") or ()))
 
 
 def _before_after(columns: Mapping[str, Sequence[Any]], value: str, **where: Any) -> tuple[float, float] | None:
