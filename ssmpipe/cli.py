@@ -572,7 +572,7 @@ def compare(
     help="Named points of the scans, for steps that a landmark serves; formats as in a run.  [default: none]",
 )  # fmt: skip
 @click.option(
-    "--side", type=click.Choice(["L", "R"], case_sensitive=False),
+    "--side", type=click.Choice(["L", "R"], case_sensitive=False), metavar="L|R",
     help="Side of the body of all scans that --cohort does not tell.  [default: unknown]",
 )  # fmt: skip
 @click.option("--cohort", type=PATH, metavar="FILE", help="CSV table with id and side.  [default: none]")

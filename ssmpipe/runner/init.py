@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from ssmpipe.core.errors import ConfigError, SsmpipeError
@@ -15,6 +16,10 @@ from ssmpipe.runner.disk import write_atomically
 from ssmpipe.runner.presets import Preset, find_preset
 from ssmpipe.runner.registry import Registry
 from ssmpipe.runner.sources import IMAGE_SUFFIXES, KINDS, OUTLINE_SUFFIXES, SIDES, by_id, scan_files
+from ssmpipe.runner.suggest import count
+
+_TABLES = ("cohort.csv", "landmarks.csv")
+_LEVELS, _FOLDERS = 3, 200  # that are looked into when a folder holds no scans itself
 
 
 def write_config(
@@ -35,12 +40,14 @@ def write_config(
         raise ConfigError(f"{target} exists already", "choose another name, or --overwrite")
     if not scans_dir.is_dir():
         raise ConfigError(f"there is no folder {scans_dir}")
-    tables = ("cohort.csv", "landmarks.csv")
-    files = by_id([path for path in scan_files([scans_dir], suffixes_read) if path.name not in tables])
-    if not files:
-        raise ConfigError(
-            f"no scans in the folder {scans_dir}, only tables", f"give the folder that holds them{_inner(scans_dir)}"
-        )
+    found = _scans(scans_dir, suffixes_read)
+    if not found:
+        inner = _inner(scans_dir, suffixes_read)
+        where = "".join(f"; {folder} holds {count(n, 'scan')}" for folder, n in inner[:3])
+        command = f"ssmpipe init {anatomy} {shlex.quote(str((inner or [(scans_dir, 0)])[0][0]))} -o {shlex.quote(str(target))}"
+        remedy = command if inner else f"give the folder that holds files of type {' '.join(suffixes_read)}"
+        raise ConfigError(f"no scans in the folder {scans_dir}{where}", remedy)
+    files = by_id(found)
     suffixes = Counter(path.suffix for path in files.values())
     scans = scans_dir / f"*{suffixes.most_common(1)[0][0]}" if len(suffixes) == 1 else scans_dir
     cohort = _beside(scans_dir, ("cohort.csv",))
@@ -63,8 +70,21 @@ def write_config(
     return [*lines, f"next: ssmpipe check {target}, then ssmpipe run {target}"]
 
 
-def _inner(scans_dir: Path) -> str:
-    return f", {scans_dir / 'scans'} perhaps" if (scans_dir / "scans").is_dir() else ""
+def _scans(folder: Path, suffixes: Sequence[str]) -> list[Path]:
+    """Return the scans of a folder, tables left out."""
+    if not any(p.is_file() and p.suffix.lower() in suffixes for p in folder.iterdir()):
+        return []
+    return [path for path in scan_files([folder], suffixes) if path.name not in _TABLES]
+
+
+def _inner(folder: Path, suffixes: Sequence[str]) -> list[tuple[Path, int]]:
+    """Return the folders inside, at most three levels down, that hold scans, and how many; most first."""
+    found, level = [], [folder]
+    for _ in range(_LEVELS):
+        level = [p for parent in level for p in sorted(parent.iterdir()) if p.is_dir() and not p.name.startswith(".")]
+        level = level[:_FOLDERS]
+        found += [(p, n) for p in level if (n := len(_scans(p, suffixes)))]
+    return sorted(found, key=lambda f: -f[1])
 
 
 def _beside(scans_dir: Path, names: tuple[str, ...]) -> Path | None:

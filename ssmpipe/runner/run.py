@@ -364,7 +364,7 @@ class _Run:
         text = names[0] if len(names) == 1 else f"{names[0]} ... {names[-1]}"
         current = len(wanted) - len(busy)
         if current:
-            self.console.say(f"{text}: {current} of {len(wanted)} shapes are up to date", level=0 if not busy else 1)
+            self.console.say(f"{text}: {current} of {len(wanted)} shapes are up to date")
         jobs = [
             Job(
                 self.workspace.only([shape]),

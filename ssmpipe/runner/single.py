@@ -68,7 +68,7 @@ def stage_command(stage: Stage, guard: Callable[[], AbstractContextManager[None]
         params.append(click.Option(["--role", "roles"], multiple=True, metavar="ROLE=NAME", help=text))
     if "info" in slots and not group:
         side = click.Choice(["L", "R"], case_sensitive=False)
-        params.append(click.Option(["--side"], type=side, help="Side of the body.  [default: IN.json]"))
+        params.append(click.Option(["--side"], type=side, metavar="L|R", help="Side of the body.  [default: IN.json]"))
     for port in stage.prepared:
         if port.slot not in stage.config.model_fields:
             params.append(

@@ -9,7 +9,7 @@ import numpy as np
 
 from ssmpipe.contract import Table
 from ssmpipe.core.arrays import Floats
-from ssmpipe.core.errors import ArtifactError, ConfigError
+from ssmpipe.core.errors import ConfigError
 from ssmpipe.core.outline.outline import Outline
 from ssmpipe.core.spline.fit import interpolating_surface
 from ssmpipe.core.statistics.covariates import centroid_size
@@ -41,15 +41,15 @@ def export_model(model: Model, path: Path, coefficients: Floats | None = None) -
     Raises
     ------
     ArtifactError
-        If the suffix is none of these, or a file of the run is needed and not there.
+        If a file of the run is needed and not there.
     ConfigError
-        If coefficients are given for a format that holds the whole model.
+        If the suffix is none of these, or coefficients are given for a format that holds the whole model.
     """
     suffix = path.suffix.lower()
     whole = next((s for s in _WHOLE if path.name.lower().endswith(s)), "")
     known = (*_WHOLE, ".vtp", *_MESHES, *CAD_SUFFIXES)
     if not whole and suffix not in known:
-        raise ArtifactError(
+        raise ConfigError(
             f"'{path.suffix}' is not a format that a model can be exported to", f"use one of {', '.join(known)}"
         )
     if whole and coefficients is not None:

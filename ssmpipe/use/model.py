@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ssmpipe.core.arrays import Floats, Ints
-from ssmpipe.core.errors import ArtifactError, ConfigError
+from ssmpipe.core.errors import ConfigError
 from ssmpipe.core.mesh.closing import close_openings, weld
 from ssmpipe.core.mesh.distance import signed_point_to_mesh
 from ssmpipe.core.mesh.quads import grid_quads, scaled_jacobian
@@ -207,19 +207,21 @@ def load_model(path: Path | str) -> Model:
 
     Raises
     ------
+    ConfigError
+        If there is none.
     ArtifactError
-        If there is none, or it cannot be read.
+        If it cannot be read.
     """
     place = Path(path)
     if place.is_dir():
         found = [p for p in (place / "model.npz", place / "cohort/model/model.npz") if p.is_file()]
         if not found:
-            raise ArtifactError(
+            raise ConfigError(
                 f"{place} holds no model.npz", "give the output folder of a finished run, or model.npz itself"
             )
         place = found[0]
     if not place.exists():
-        raise ArtifactError(f"there is no {place}", "give model.npz, or the output folder of a finished run")
+        raise ConfigError(f"there is no {place}", "give model.npz, or the output folder of a finished run")
     if place.suffix != ".npz":
-        raise ArtifactError(f"{place.name} is not a model.npz", "give model.npz, or the output folder of a run")
+        raise ConfigError(f"{place.name} is not a model.npz", "give model.npz, or the output folder of a run")
     return Model(load_artifact("model", "model", place.parent, [place.name]), place)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -217,11 +218,33 @@ def test_init_writes_a_config_that_loads(call: Call, scans: Path, tmp_path: Path
     assert load_project(tmp_path / "disk.yaml").steps[1].options["mirror"] == "none"
     (tmp_path / "hands/scans").mkdir(parents=True)
     (tmp_path / "hands/landmarks.csv").write_text("id,landmark,x,y\n")
+    (tmp_path / "hands/scans/one.csv").write_text("x,y\n0,0\n1,0\n")
     result = call("init", "curve", tmp_path / "hands", "-o", tmp_path / "hands.yaml")
-    assert (result.exit_code, "hands/scans perhaps" in result.output) == (2, True)
+    assert result.exit_code == 2
+    assert f"no scans in the folder {tmp_path / 'hands'}; {tmp_path / 'hands/scans'} holds 1 scan" in result.output
+    assert f"try: ssmpipe init curve {tmp_path / 'hands/scans'} -o {tmp_path / 'hands.yaml'}" in result.output
+    assert call("init", "curve", tmp_path / "hands/scans", "-o", tmp_path / "hands.yaml").exit_code == 0
     (tmp_path / "empty").mkdir()
     result = call("init", "disk", tmp_path / "empty", "-o", tmp_path / "e.yaml")
     assert (result.exit_code, "no scans in the folder" in result.output) == (2, True)
+
+
+@pytest.mark.parametrize("command", ["project", "orient"])
+def test_sides_are_shown_as_in_the_tables_and_read_in_both_cases(call: Call, command: str) -> None:
+    assert "--side L|R" in re.sub(r"\s+", " ", call(command, "--help").output)
+    for side, code in (("l", None), ("R", None), ("x", "Invalid value for '--side'")):
+        output = call(
+            command, "none.ply", "none2.ply", *(["-o", "out"] if command == "project" else []), "--side", side
+        ).output
+        assert ("Invalid value for '--side'" in output) is (code is not None), output
+
+
+def test_what_is_up_to_date_is_told_beside_a_failed_scan(call: Call, write_config: Callable[..., Path]) -> None:
+    config = write_config(stages=[{"grow": {"refuse": ["b"]}}, "shift", "total"])
+    assert call("run", config).exit_code == 3
+    again = call("run", config)
+    assert again.exit_code == 3
+    assert "grow: 3 of 4 shapes are up to date" in again.output
 
 
 def test_check_table(call: Call, scans: Path, tmp_path: Path, write_config: Callable[..., Path]) -> None:

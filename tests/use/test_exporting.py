@@ -43,8 +43,18 @@ def test_statismo_layout(tmp_path: Path) -> None:
 def test_unknown_formats_are_refused(tmp_path: Path) -> None:
     result = write_model(shape_model(), tmp_path / "out")
     done = CliRunner().invoke(main, ["export", str(result), "-o", str(tmp_path / "m.xyz")])
-    assert done.exit_code == 3
+    assert done.exit_code == 2
     assert "'.xyz' is not a format that a model can be exported to; try: use one of .h5" in done.output
+
+
+@pytest.mark.parametrize("command", ["export", "sample"])
+def test_a_missing_model_is_bad_usage(command: str, tmp_path: Path) -> None:
+    for place, fact in ((tmp_path / "none", "there is no"), (tmp_path, "holds no model.npz")):
+        done = CliRunner().invoke(main, [command, str(place), "-o", str(tmp_path / "m.ply")])
+        assert (done.exit_code, fact in done.output) == (2, True), done.output
+    (tmp_path / "model.npz").write_bytes(b"no archive")  # a file that is refused
+    done = CliRunner().invoke(main, [command, str(tmp_path), "-o", str(tmp_path / "m.ply")])
+    assert done.exit_code == 3, done.output
 
 
 @pytest.mark.parametrize("topology", ["disk", "tube", "cone", "closed"])

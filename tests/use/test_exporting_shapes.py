@@ -189,4 +189,4 @@ def test_what_cannot_be_exported_is_said(tmp_path: Path) -> None:
     assert "not one instance" in export(result, tmp_path / "m.csv", "--at", "1=2", code=2)
     assert "--shape needs --shapes" in export(result, tmp_path / "m.ply", "--shape", "s1", code=2)
     assert "exclude each other" in export(result, tmp_path / "m", "--shapes", "ply", "--at", "1=2", code=2)
-    assert "'.npz' is not a format" in export(result, tmp_path / "m.npz", code=3)
+    assert "'.npz' is not a format" in export(result, tmp_path / "m.npz", code=2)

@@ -61,12 +61,12 @@ def test_quads_at_a_pole_do_not_count_as_bad(topology: str, tmp_path: Path) -> N
 
 
 def test_what_cannot_be_loaded_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ArtifactError, match=r"holds no model\.npz"):
+    with pytest.raises(ConfigError, match=r"holds no model\.npz"):
         ssmpipe.load_model(tmp_path)
     (tmp_path / "a.txt").write_text("x")
-    with pytest.raises(ArtifactError, match=r"a\.txt is not a model\.npz"):
+    with pytest.raises(ConfigError, match=r"a\.txt is not a model\.npz"):
         ssmpipe.load_model(tmp_path / "a.txt")
-    with pytest.raises(ArtifactError, match=f"there is no {tmp_path / 'nowhere'}"):
+    with pytest.raises(ConfigError, match=f"there is no {tmp_path / 'nowhere'}"):
         ssmpipe.load_model(tmp_path / "nowhere")
     np.savez(tmp_path / "model.npz", mean=np.zeros(3))
     with pytest.raises(ArtifactError, match="has no array"):
