@@ -160,7 +160,8 @@ class Context:
     rng : numpy.random.Generator
         Seeded from the run's seed, the shape id and the stage; never from the clock.
     metrics : dict
-        Numbers for the report; keys end in a unit (``rms_mm``) or are counts (``n_faces``).
+        Numbers for the report; keys end in a unit (``rms_mm``) or are counts (``n_faces``). Where lengths have no unit, the runner
+        stores ``rms_unit``.
     warnings : list of str
     progress : callable
         ``progress(done, total, text)``; shown as a bar on a terminal.
@@ -170,6 +171,8 @@ class Context:
         For large group stages: processes that share the work; the result may not depend on them.
     threads : int
         That a group stage may use; the result may not depend on their number.
+    unit : str
+        Of lengths, for texts: "mm", or "file units" where the config says ``units: none``.
     """
 
     shape_id: str
@@ -181,6 +184,7 @@ class Context:
     checkpoints: Checkpoints | None = None
     engine: Engine | None = None
     threads: int = 1
+    unit: str = "mm"
 
     def metric(self, name: str, value: Any) -> None:
         """Record a number (or short text, or list) for the manifest and the report."""

@@ -12,6 +12,7 @@ import json
 import logging
 import os
 import platform
+import re
 import shutil
 import sys
 import tempfile
@@ -86,6 +87,17 @@ def make_rng(seed: int, shape: str | None, step: str) -> np.random.Generator:
     return np.random.default_rng(np.frombuffer(key, dtype=np.uint32))
 
 
+def named_by_unit(metrics: dict[str, Any], unit: str) -> dict[str, Any]:
+    """Return metrics whose names say the unit that their lengths have.
+
+    Examples
+    --------
+    >>> named_by_unit({"rms_mm": 1.5, "area_mm2": 2.0, "n_faces": 3}, "file units")
+    {'rms_unit': 1.5, 'area_unit2': 2.0, 'n_faces': 3}
+    """
+    return metrics if unit == "mm" else {re.sub(r"_mm([23]?)$", r"_unit\1", k): v for k, v in metrics.items()}
+
+
 def run_task(
     workspace: Workspace,
     step: PlannedStep,
@@ -155,7 +167,7 @@ def run_task(
             ctx = Context(shape_id=shape or "", rng=make_rng(workspace.seed, shape, step.id), log=log)
             if progress is not None:
                 ctx.progress = progress
-            ctx.engine, ctx.threads = engine, threads
+            ctx.engine, ctx.threads, ctx.unit = engine, threads, workspace.unit
             if every is not None:
                 ctx.checkpoints = Checkpoints(saved.save, every, found.state)
             stage = workspace.registry.load(step.stage).suiting([s for s, p in step.inputs.items() if p is not None])
@@ -167,7 +179,7 @@ def run_task(
             made = _call(stage, artifacts, cfg, ctx, prepare=prepare)
             _check_made(stage, ports, made)
             log.info("finished")
-        metrics = to_plain(ctx.metrics)
+        metrics = named_by_unit(to_plain(ctx.metrics), ctx.unit)
         timing = {key: value for key, value in metrics.items() if key.endswith("_s")}
         metrics = {key: value for key, value in metrics.items() if key not in timing}
         manifest = Manifest(

@@ -48,6 +48,11 @@ class Workspace:
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "cache": {}}
 
+    @property
+    def unit(self) -> str:
+        """Unit of lengths: "mm", or "file units" where the config says ``units: none``."""
+        return "file units" if any(source.units == "none" for source in self.sources.values()) else "mm"
+
     def only(self, ids: Iterable[str]) -> Workspace:
         """Return the same workspace with fewer shapes."""
         return replace(self, sources={i: self.sources[i] for i in ids}, cache={})

@@ -88,8 +88,8 @@ def run(
                 columns[name].append(value if isinstance(value, (str, int)) else float(value))
         ctx.metric(f"generalization_1_mode_{label}_mm", float(general[0]))
     comment = (
-        "generalization, specificity and their standard errors: RMS per point [mm]; compactness: cumulative variance ratio [-]; "
-        "compactness_error: sum of sqrt(2/n_S) lambda [mm^2 per point]"
+        f"generalization, specificity and their standard errors: RMS per point [{ctx.unit}]; compactness: cumulative variance "
+        f"ratio [-]; compactness_error: sum of sqrt(2/n_S) lambda [{ctx.unit}^2 per point]"
     )
     made: dict[str, Any] = {
         "measures": Table(columns, comment),
@@ -145,13 +145,16 @@ def _transfer(
             )
             for column, value in zip(columns, values, strict=True):
                 columns[column].append(value if isinstance(value, (str, int)) else float(value))
-    return Table(columns, "distance between a carried landmark and the shape's own one, over all ordered pairs [mm]")
+    comment = f"distance between a carried landmark and the shape's own one, over all ordered pairs [{ctx.unit}]"
+    if ctx.unit != "mm":
+        comment += f"; columns whose names end in _mm are in {ctx.unit}"
+    return Table(columns, comment)
 
 
 STAGE = Stage(
     name="evaluate",
     scope="cohort",
-    version=3,
+    version=4,  # samples do not depend on the numbering; tables name file units where there are no mm
     config=Config,
     run=run,
     inputs=(

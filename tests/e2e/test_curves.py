@@ -68,6 +68,14 @@ def test_init_check_run_and_refuse(tmp_path: Path, outlines: Path) -> None:
     assert json.loads((out / "cohort/optimize/certificate.json").read_text())["all_proved"]
     rows = (out / "cohort/evaluate/landmark_transfer.csv").read_text().splitlines()
     assert float(next(r for r in rows if r.startswith("all,optimized")).split(",")[4]) < 3.0
+    told = json.loads((out / "run.json").read_text())
+    stages = [*told["cohort_stages"], *(t for shape in told["shapes"].values() for t in shape["stages"])]
+    names = {name for stage in stages for name in stage.get("metrics", {})}
+    assert {"generalization_1_mode_optimized_unit", "landmark_transfer_optimized_unit", "length_unit"} <= names
+    assert [name for name in names if name.endswith("_mm")] == [], "lengths have no unit here"
+    assert "RMS per point [file units]" in (out / "cohort/evaluate/measures.csv").read_text().splitlines()[0]
+    assert "[mm" not in rows[0]
+    assert "columns whose names end in _mm are in file units" in rows[0]
     assert ssmpipe("run", config, *quick)[1] == ""
     code, text = ssmpipe("run", config, "--set", "stages.fit.n_contro=9", *quick)
     assert (code, "did you mean 'n_control'" in text) == (2, True)
