@@ -16,10 +16,13 @@ from ssmpipe.core.mesh.topology import compact, euler_characteristic, face_compo
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.parameterize.boundary import (
     aligned_axes,
-    corners_by_angle,
+    corners_of_any_rim,
+    follow_each_other,
     insert_corners,
     order_corners,
+    places_on_rim,
     rim_axes,
+    rim_fractions,
     rim_of,
     split_chords,
 )
@@ -33,6 +36,7 @@ from ssmpipe.core.parameterize.traced import parameterize_traced
 from ssmpipe.core.parameterize.tube import parameterize_tube
 from ssmpipe.core.result import Result
 
+_QUARTERS = "quarters of the rim"
 ROLES = ("corner_1", "corner_2", "corner_3", "corner_4")
 POLE_ROLES = ("apex", "antapex", "seam")
 Vector = tuple[float, float, float]
@@ -310,13 +314,20 @@ def _wanted_corners(
             "assign the missing ones in input.roles, or none of the four to let geometry decide",
         )
     if reference is not None:
-        corners = _own_corners(reference, cfg, ctx)
-        return apply(affine_onto(reference, mesh), corners), "reference"
-    return _own_corners(mesh, cfg, ctx), cfg.corner_axes
+        corners, source = _own_corners(reference, cfg, ctx)
+        carried = apply(affine_onto(reference, mesh), corners)
+        rim = rim_of(mesh)
+        at = rim_fractions(mesh, rim, carried)
+        if follow_each_other(at):
+            return carried, f"reference, {source}" if source == _QUARTERS else "reference"
+        # the rim bends so that nearest places change their order: the first one leads, the others follow by arc length
+        along = rim_fractions(reference, rim_of(reference), corners)
+        return places_on_rim(mesh, rim, at[0] + along - along[0]), "reference, by arc length from the first"
+    return _own_corners(mesh, cfg, ctx)
 
 
-def _own_corners(mesh: TriMesh, cfg: Config, ctx: Context) -> Floats:
-    """Return the four places of the rim that geometry tells."""
+def _own_corners(mesh: TriMesh, cfg: Config, ctx: Context) -> tuple[Floats, str]:
+    """Return the four places of the rim that geometry tells, and how."""
     rim = rim_of(mesh)
     axes, ratio = rim_axes(mesh, rim) if cfg.corner_axes == "rim" else (np.eye(3)[:2], np.inf)
     if cfg.corner_axes == "aligned":
@@ -331,7 +342,13 @@ def _own_corners(mesh: TriMesh, cfg: Config, ctx: Context) -> Floats:
             f"the rim is nearly round (its axes differ by {100 * (ratio - 1):.0f} %), so its principal axes are arbitrary; "
             "assign landmarks to corner_1 to corner_4, or use corner_axes: aligned"
         )
-    return corners_by_angle(mesh, rim, cfg.corner_angles_deg, axes)
+    corners, quarters = corners_of_any_rim(mesh, rim, cfg.corner_angles_deg, axes)
+    if quarters:
+        ctx.warn(
+            "the rim bends so much that no four corners can be seen from its centroid; they lie at quarters of its length, from the place "
+            f"farthest under {cfg.corner_angles_deg[0]:g} degrees; assign landmarks to corner_1 to corner_4 if that does not suit"
+        )
+    return corners, _QUARTERS if quarters else cfg.corner_axes
 
 
 STAGE = Stage(

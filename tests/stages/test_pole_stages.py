@@ -162,3 +162,45 @@ def test_corners_are_those_of_the_reference():
     away = np.linalg.norm(corners(second) - corners(first) @ linear.T, axis=1)
     own, _ = go(parameterize, {"max_iterations": 2}, mesh=other)
     assert away.max() < 2.0 < np.linalg.norm(corners(own) - corners(first) @ linear.T, axis=1).min()
+
+
+def crescent(opening: float = 60.0, thick: float = 6.0) -> TriMesh:
+    """A flat C around the origin with a wavy surface: its centroid lies outside of it, and two rays from there meet nothing."""
+    from ssmpipe.core.mesh.grid import grid_faces
+
+    n, m = 61, 9
+    angle, radius = np.meshgrid(
+        np.radians(np.linspace(45 + opening / 2, 405 - opening / 2, n)), np.linspace(20, 20 + thick, m), indexing="ij"
+    )
+    x, y = radius * np.cos(angle), radius * np.sin(angle)
+    return TriMesh(np.stack([x, y, np.sin(x / 9.0)], -1).reshape(-1, 3), grid_faces(n, m)[:, ::-1])
+
+
+def test_corners_of_a_rim_that_its_centroid_does_not_see():
+    shape = crescent()
+    made, ctx = go(parameterize, {"max_iterations": 5}, mesh=shape, reference=shape)
+    assert "quarters of its length" in ctx.warnings[0]
+    assert ctx.metrics["corners_from"] == "reference, quarters of the rim"
+    assert made["uv"].min() == 0
+    assert made["uv"].max() == 1
+    other = TriMesh(crescent(50.0, 7.0).vertices * [1.1, 0.95, 1.0], shape.faces)
+    second, _ = go(parameterize, {"max_iterations": 5}, mesh=other, reference=shape)
+
+    def corners(found):
+        return np.array(
+            [found["mesh"].vertices[(found["uv"] == c).all(axis=1)][0] for c in ((0, 0), (1, 0), (1, 1), (0, 1))]
+        )
+
+    away = np.linalg.norm(corners(second) - corners(made) * [1.1, 0.95, 1.0], axis=1)
+    assert away.max() < 5.0
+
+
+def test_carried_corners_out_of_order_follow_by_length(monkeypatch):
+    """Where nearest places change their order the first one leads."""
+    from ssmpipe.stages import parameterize as stage
+
+    shape = crescent()
+    monkeypatch.setattr(stage, "affine_onto", lambda a, b: np.diag([0.02, 0.02, 1.0, 1.0]))  # all four near one place
+    made, ctx = go(parameterize, {"max_iterations": 2}, mesh=shape, reference=shape)
+    assert ctx.metrics["corners_from"] == "reference, by arc length from the first"
+    assert made["uv"].max() == 1

@@ -11,6 +11,7 @@ from ssmpipe.core.errors import GeometryError, TopologyError
 from ssmpipe.core.mesh.topology import boundary_loops, split_edges, unique_edges
 from ssmpipe.core.mesh.trimesh import TriMesh
 
+_LEAST_GAP = 0.03
 SQUARE_CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 
 
@@ -120,6 +121,68 @@ def corners_by_angle(mesh: TriMesh, rim: Ints, angles_deg: Sequence[float], axes
             )
         places.append((1 - t[k]) * mesh.vertices[rim[k]] + t[k] * mesh.vertices[np.roll(rim, -1)[k]])
     return np.array(places)
+
+
+def rim_fractions(mesh: TriMesh, rim: Ints, points: Floats) -> Floats:
+    """Return where on a loop the places nearest to (n, 3) points lie, as shares of its length from its first vertex on."""
+    start, side = mesh.vertices[rim], np.roll(mesh.vertices[rim], -1, axis=0) - mesh.vertices[rim]
+    length = np.linalg.norm(side, axis=1)
+    t = np.clip(np.einsum("pnd,nd->pn", points[:, None] - start, side) / length**2, 0.0, 1.0)
+    edge = np.linalg.norm(start + t[..., None] * side - points[:, None], axis=2).argmin(axis=1)
+    before = np.concatenate([[0.0], np.cumsum(length)])
+    return np.asarray((before[edge] + t[np.arange(len(points)), edge] * length[edge]) / before[-1])
+
+
+def places_on_rim(mesh: TriMesh, rim: Ints, fractions: Floats) -> Floats:
+    """Return the (n, 3) places of a loop at shares of its length from its first vertex on, any whole number more or less."""
+    closed = mesh.vertices[np.append(rim, rim[0])]
+    at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
+    wanted = np.mod(fractions, 1.0) * at[-1]
+    return np.stack([np.interp(wanted, at, closed[:, k]) for k in range(3)], axis=1)
+
+
+def follow_each_other(fractions: Floats) -> bool:
+    """Say whether four places follow each other along a loop, in either sense, none nearer to the next than 3 % of its length.
+
+    Examples
+    --------
+    >>> follow_each_other(np.array([0.9, 0.1, 0.4, 0.7])), follow_each_other(np.array([0.7, 0.4, 0.1, 0.9]))
+    (True, True)
+    >>> follow_each_other(np.array([0.9, 0.4, 0.1, 0.7])), follow_each_other(np.array([0.1, 0.11, 0.5, 0.7]))
+    (False, False)
+    """
+    steps = np.mod(np.roll(fractions, -1) - fractions, 1.0)
+    forward = np.isclose(steps.sum(), 1.0)
+    gaps = steps if forward else 1.0 - steps
+    return bool(np.isclose(gaps.sum(), 1.0) and gaps.min() > _LEAST_GAP)
+
+
+def corners_of_any_rim(mesh: TriMesh, rim: Ints, angles_deg: Sequence[float], axes: Floats) -> tuple[Floats, bool]:
+    """Return :func:`corners_by_angle`, or quarters of the length where a loop bends too much for that, and whether it did.
+
+    The quarters begin at the place that lies farthest under the first angle.
+
+    Returns
+    -------
+    places : (4, 3) float64
+        [mm].
+    quarters : bool
+    """
+    try:
+        places = corners_by_angle(mesh, rim, angles_deg, axes)
+        if follow_each_other(rim_fractions(mesh, rim, places)):
+            return places, False
+    except GeometryError:
+        pass  # a ray misses the loop
+    first, second = np.radians(angles_deg[0]), np.radians(angles_deg[1])
+    flat = mesh.vertices[rim] @ axes.T
+    start = rim_fractions(mesh, rim, mesh.vertices[rim[[int(np.argmax(flat @ [np.cos(first), np.sin(first)]))]]])[0]
+    quarters = np.array([0.0, 0.25, 0.5, 0.75])
+    # in the sense in which the angles rise, as the area that the loop encloses in the plane of the axes tells
+    following = np.roll(flat, -1, axis=0)
+    turns_left = (flat[:, 0] * following[:, 1] - flat[:, 1] * following[:, 0]).sum() > 0
+    sense = 1.0 if turns_left == (np.sin(second - first) > 0) else -1.0
+    return places_on_rim(mesh, rim, start + sense * quarters), True
 
 
 def insert_corners(mesh: TriMesh, points: Floats, snap: float = 1e-3) -> tuple[TriMesh, Ints, Floats]:
