@@ -31,17 +31,17 @@ def tube(x, y, ratio):
 SURFACES = {"disk": (sheet, DISK, "fixed"), "tube": (tube, TUBE, "periodic")}
 
 
-def cut(kind, low, high, ratio):
-    """Return a spline whose parameters run over its own part of the shared coordinates."""
+def cut(kind, low, high, ratio, seam=0.0):
+    """Return a spline whose parameters run over its own part of the shared coordinates; a tube begins at ``seam`` around it."""
     u, v = np.meshgrid(np.linspace(0, 1, 61), np.linspace(0, 1, 61), indexing="ij")
     along = low + (high - low) * v
-    across = low + (high - low) * u if kind == "disk" else u
+    across = low + (high - low) * u if kind == "disk" else u + seam
     samples = SURFACES[kind][0](across, along, ratio)
     if kind == "tube":
         samples[-1] = samples[0]
     return fit_surface(samples, n_control=(24, 24))
 
 
-def cut_cohort(kind) -> list[BSplineSurface]:
+def cut_cohort(kind, seams=(0.0,) * 5) -> list[BSplineSurface]:
     """Return the five shapes of :data:`CUTS`."""
-    return [cut(kind, *c, r) for c, r in zip(CUTS, RATIOS, strict=True)]
+    return [cut(kind, *c, r, s) for c, r, s in zip(CUTS, RATIOS, seams, strict=True)]

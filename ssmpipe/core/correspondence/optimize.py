@@ -302,8 +302,8 @@ def optimize_correspondence(
     reparameterization = cohort.space(opts.n_coefficients)
     levels = _levels(reparameterization) if opts.coarse_to_fine else []
     first = cohort.space(levels[0] if levels else opts.n_coefficients)
-    if opened is not None:
-        coefficients = without_folds(cohort.objective(first), opened, turned_identity(first, cohort.turns))
+    if rims is not None and opened is not None:
+        coefficients = without_folds(cohort.objective(first), opened, turned_identity(first, rims.turns))
         cohort.refine_pose(coefficients, first)
     elif opts.start == "affine":
         coefficients = cohort.affine_start(first)

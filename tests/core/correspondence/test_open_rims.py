@@ -102,6 +102,17 @@ def test_places_beyond_a_rim_are_carried_past_it() -> None:
     assert at == pytest.approx(true, abs=0.02)
 
 
+def test_maps_that_are_taken_back_keep_their_turn(monkeypatch) -> None:
+    """The reference begins elsewhere than the first shape; every map that is taken back still goes towards its own turn."""
+    monkeypatch.setattr("ssmpipe.core.correspondence.affine_start.LEAST_JACOBIAN", 0.9)  # as if nearly all had folds
+    seams = np.array([0.0, 0.3, 0.3, 0.3, 0.3])
+    chosen = options("tube", rims="free", reference=2, max_iterations=1)
+    found = optimize_correspondence(cut_cohort("tube", seams), chosen).value
+    around = found.parameters[..., 0] + seams[:, None]
+    apart = (around - around[0] + 0.5) % 1 - 0.5
+    assert np.abs(np.median(apart, axis=1)).max() < 0.005
+
+
 @pytest.mark.parametrize("changes", [{"open_edges": ()}, {}])
 def test_what_free_rims_cannot_do_is_refused(changes) -> None:
     guides = None if changes else [{"a": np.zeros(3)}] * 5
