@@ -152,6 +152,7 @@ def engine_options(model: ShapeModel, content: Mapping[str, Any]) -> EngineOptio
         normalize=str(kept.get("normalize")),
         guided=bool(given.get("guides")),
         reference=given.get("reference", ""),
+        rims=given.get("rims", "kept"),
     )
     boundary = boundary_of(given.get("boundary", "auto"), model.topology)
     return EngineOptions(**kept, boundary=boundary, lambda_cut=model.lambda_cut, start=start, window=model.window)
