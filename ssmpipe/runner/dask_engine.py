@@ -111,11 +111,12 @@ class DaskEngine:
         asked = []
         for k, args in enumerate(arguments):
             place = places[k % len(places)] if places else ""
-            asked.append((place, self._ask(place, function, args)))
+            answer = self._ask(place, function, args)
+            asked.append((place, self._actors.get(place), answer))
         found: dict[int, tuple[bool, Any]] = {}
-        for k, (place, answer) in enumerate(asked):
+        for k, (place, actor, answer) in enumerate(asked):
             with suppress(_LostError):
-                found[k] = self._answer(place, answer)
+                found[k] = self._answer(place, actor, answer)
         left = [k for k in range(len(arguments)) if k not in found]
         if left:
             self._addresses = []
@@ -145,14 +146,14 @@ class DaskEngine:
                 self._actors[place] = self._coming[place].result(timeout=_NO_ANSWER_S)
         return self._actors[place]
 
-    def _answer(self, place: str, answer: Any) -> tuple[bool, Any]:
+    def _answer(self, place: str, actor: Any, answer: Any) -> tuple[bool, Any]:
         if answer is None:
             raise _LostError
         while True:
             try:
                 ok, value = answer.result(timeout=_LOOK_EVERY_S)
             except Exception:
-                alive = self._is_alive(place)
+                alive = _is_alive(actor)
                 if alive and not answer.done():
                     continue
                 if not alive:
@@ -160,13 +161,6 @@ class DaskEngine:
                 self._dismiss(place)
                 raise _LostError from None
             return bool(ok), value
-
-    def _is_alive(self, place: str) -> bool:
-        try:
-            self._actors[place].alive().result(timeout=_NO_ANSWER_S)
-        except Exception:
-            return False
-        return True
 
     def _dismiss(self, place: str) -> None:
         self._actors.pop(place, None)
@@ -217,3 +211,11 @@ class DaskEngine:
         self._actors.clear()
         self._coming.clear()
         self._folder.clear()
+
+
+def _is_alive(actor: Any) -> bool:
+    try:
+        actor.alive().result(timeout=_NO_ANSWER_S)
+    except Exception:
+        return False
+    return True

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from ssmpipe.core.correspondence.reparameterization import Reparameterization
 from ssmpipe.core.correspondence.rows import LandmarkRows, RowSums, _described, automatic_blocks, grams
 from ssmpipe.core.correspondence.spectral import spectral_function
 from ssmpipe.core.spline.evaluate import SplineStack
-from ssmpipe.runner.dask_engine import EngineError
+from ssmpipe.runner.dask_engine import DaskEngine, EngineError
 from ssmpipe.runner.shared_folder import SharedFolder
 from tests.support.engines import OPTIONS, Killing, optimized
 from tests.support.surfaces import bumps
@@ -149,3 +149,52 @@ def test_a_function_that_always_kills_its_process_is_an_error_and_one_that_raise
             engine.call(_die, [()])
         with pytest.raises(ValueError, match="no"):
             engine.call(_refuse, [()])
+
+
+class Answer:
+    """What an actor, or a task, brings: its outcomes in turn."""
+
+    def __init__(self, *outcomes: Any) -> None:
+        self._outcomes = iter(outcomes)
+
+    def done(self) -> bool:
+        return not self.waits
+
+    def result(self, timeout: float | None = None) -> Any:
+        found = next(self._outcomes)
+        self.waits = isinstance(found, TimeoutError)
+        if isinstance(found, Exception):
+            raise found
+        return found
+
+
+def test_a_worker_whose_answer_cannot_be_read_is_not_taken_for_gone(tmp_path: Path) -> None:
+    """The other call that it has is still waited for, and it gets the next ones."""
+    pytest.importorskip("distributed")
+
+    class Actor:
+        answers = iter([Answer(ValueError("cannot be read")), Answer(TimeoutError(), (True, 2)), Answer((True, 3))])
+
+        def call(self, function: Any, args: Any) -> Answer:
+            return next(self.answers)
+
+        def alive(self) -> Answer:
+            return Answer(None)
+
+    class Client:
+        status = "running"
+
+        def nthreads(self) -> dict[str, int]:
+            return {"tcp://here": 1}
+
+        def as_current(self) -> Any:
+            return nullcontext()
+
+        def submit(self, function: Any, *args: Any, actor: bool = False, **rest: Any) -> Answer:
+            return Answer(Actor() if actor else 1)
+
+    engine = DaskEngine(Client(), tmp_path / "shared")
+    assert engine.call(min, [(), ()]) == [1, 2]
+    assert engine.n_tasks == 1
+    assert engine.call(min, [()]) == [3]
+    assert engine.n_tasks == 1
