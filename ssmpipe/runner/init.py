@@ -8,6 +8,7 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from ssmpipe.core.errors import ConfigError, SsmpipeError
@@ -78,12 +79,20 @@ def _scans(folder: Path, suffixes: Sequence[str]) -> list[Path]:
 
 
 def _inner(folder: Path, suffixes: Sequence[str]) -> list[tuple[Path, int]]:
-    """Return the folders inside, at most three levels down, that hold scans, and how many; most first."""
+    """Return the folders inside, at most three levels down, that hold scans, and how many; most first.
+
+    What cannot be read is passed over.
+    """
     found, level = [], [folder]
     for _ in range(_LEVELS):
-        level = [p for parent in level for p in sorted(parent.iterdir()) if p.is_dir() and not p.name.startswith(".")]
-        level = level[:_FOLDERS]
-        found += [(p, n) for p in level if (n := len(_scans(p, suffixes)))]
+        inside: list[Path] = []
+        for parent in level:
+            with suppress(OSError):
+                inside += [p for p in sorted(parent.iterdir()) if p.is_dir() and not p.name.startswith(".")]
+        level = inside[:_FOLDERS]
+        for p in level:
+            with suppress(OSError, ConfigError):
+                found += [(p, n)] if (n := len(_scans(p, suffixes))) else []
     return sorted(found, key=lambda f: -f[1])
 
 

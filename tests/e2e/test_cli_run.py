@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -227,6 +227,24 @@ def test_init_writes_a_config_that_loads(call: Call, scans: Path, tmp_path: Path
     (tmp_path / "empty").mkdir()
     result = call("init", "disk", tmp_path / "empty", "-o", tmp_path / "e.yaml")
     assert (result.exit_code, "no scans in the folder" in result.output) == (2, True)
+
+
+def test_init_passes_over_folders_that_cannot_be_read(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("good", "locked", "old [1]"):  # the last one reads as a pattern
+        (tmp_path / "hands" / name).mkdir(parents=True)
+        (tmp_path / "hands" / name / "one.csv").write_text("x,y\n0,0\n1,0\n")
+    entries = Path.iterdir
+
+    def read(self: Path) -> Iterator[Path]:
+        if self.name == "locked":
+            raise PermissionError(13, "Permission denied", str(self))
+        return entries(self)
+
+    monkeypatch.setattr(Path, "iterdir", read)
+    result = call("init", "curve", tmp_path / "hands", "-o", tmp_path / "hands.yaml")
+    assert (result.exit_code, f"{tmp_path / 'hands/good'} holds 1 scan" in result.output) == (2, True), result.output
 
 
 @pytest.mark.parametrize("command", ["project", "orient"])
