@@ -162,7 +162,7 @@ def make_pages(
         if producer is not None and producer.scope == "cohort"
     ]
     record = workspace.scratch / "report.json"
-    write_atomically(record, text)
+    write_atomically(record, text, mode=None if names is None else 0o600)  # it says who is who
     work = PageWork(folder, record, digest([text, made]))
     failed: dict[str, Failure] = {}
 

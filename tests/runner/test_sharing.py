@@ -122,3 +122,23 @@ def test_nobody_else_can_read_the_table_of_names_at_any_moment(tmp_path: Path, m
         os.umask(old)
     assert modes == [0o600] * 4
     assert key.read_text() == HEAD + "P001,shape,a\n"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such permissions")
+def test_nor_what_the_children_are_told_of_the_names(
+    run: Callable[..., RunResult], project: Callable[..., Project], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run(stages=CHAIN)
+    modes = {}
+    flush, old = disk.flush, os.umask(0)
+
+    def looked(path: Path) -> None:
+        modes[path.name.rpartition(".")[0]] = stat.S_IMODE(path.stat().st_mode)
+        flush(path)
+
+    monkeypatch.setattr(disk, "flush", looked)
+    try:
+        share_report(project(stages=CHAIN), pseudonymize=True)
+    finally:
+        os.umask(old)
+    assert modes[".report.json"] == modes[".pseudonyms.csv"] == 0o600
