@@ -81,7 +81,7 @@ def _drawn(model: ShapeModel, points: Floats) -> TriMesh | Outline:
 STAGE = Stage(
     name="model",
     scope="cohort",
-    version=2,
+    version=3,  # format 3 of model.npz, with the window
     config=Config,
     run=run,
     inputs=(
