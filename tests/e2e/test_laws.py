@@ -100,5 +100,4 @@ def test_pose_side_and_numbering_change_nothing(
     # must not be told apart by it
     n_faces, expected = base
     away = moved_by(n_faces, way, expected, tmp_path / way)
-    print(n_faces, way, {k: float(a.max()) for k, a in away.items()})
     assert max(float(a.max()) for a in away.values()) < 1e-6
