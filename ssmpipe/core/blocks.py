@@ -56,14 +56,14 @@ def map_blocks(function: Callable[[slice], T], n: int, size: int, threads: int =
         return [out[k] for k in range(len(slices))]
 
     # the calling thread works too, and the others are woken once each: a wake costs as much as a small block
-    helpers = [_pool(threads).submit(work) for _ in range(min(threads, len(slices)) - 1)]
+    others = [_pool(threads).submit(work) for _ in range(min(threads, len(slices)) - 1)]
     try:
         work()
     finally:
-        busy = [helper for helper in helpers if not helper.cancel()]  # who has not woken up yet is not waited for
+        busy = [other for other in others if not other.cancel()]  # who has not woken up yet is not waited for
         wait(busy)
-    for helper in busy:
-        helper.result()
+    for other in busy:
+        other.result()
     return [out[k] for k in range(len(slices))]
 
 
