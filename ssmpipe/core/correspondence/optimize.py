@@ -521,9 +521,10 @@ class _Cohort:
     def registered_rims(self) -> Registered | None:
         """Return the reference registered with rims that may lie anywhere; None where nothing asks for it."""
         free = self.opts.rims == "free"
-        if free and (not self.opts.open_edges or self.guided):
+        if free and (not self.opts.open_edges or self.guided or self.opts.coarse_to_fine):
             raise GeometryError(
-                "rims: free is for surfaces in three dimensions that have rims, and takes no guides", "use rims: kept"
+                "rims: free is for surfaces in three dimensions that have rims, and takes neither guides nor coarse_to_fine",
+                "use rims: kept",
             )
         if not self.opts.open_edges or self.opts.window is not None or (not free and len(self.splines) > _HINTED):
             return None

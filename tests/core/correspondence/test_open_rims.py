@@ -113,7 +113,7 @@ def test_maps_that_are_taken_back_keep_their_turn(monkeypatch) -> None:
     assert np.abs(np.median(apart, axis=1)).max() < 0.005
 
 
-@pytest.mark.parametrize("changes", [{"open_edges": ()}, {}])
+@pytest.mark.parametrize("changes", [{"open_edges": ()}, {"coarse_to_fine": True}, {}])
 def test_what_free_rims_cannot_do_is_refused(changes) -> None:
     guides = None if changes else [{"a": np.zeros(3)}] * 5
     with pytest.raises(GeometryError, match="rims: free"):
