@@ -17,8 +17,10 @@ def load_model(path: Path | str) -> Model:
 
     Raises
     ------
+    ssmpipe.core.errors.ConfigError
+        If there is none.
     ssmpipe.core.errors.ArtifactError
-        If there is none, or it cannot be read.
+        If it cannot be read.
     """
     from ssmpipe.use.model import load_model as load
 
