@@ -23,6 +23,7 @@ COMMENT = (
     "no prefix: from the shape as the model of all others reconstructs it to the prepared shape; back_: the other way; "
     "fit_, fit_back_: the same for the shape's own spline; distances to the surface, means and percentiles by area"
 )
+WINDOW = "what lies beyond the part that the model covers (optimize.rims: free) does not count in back_"
 _UNUSUAL = 3.0
 
 
@@ -60,7 +61,7 @@ def measure_quality(
             pairs += [("fit_", spline, target), ("fit_back_", target, spline)]
         for prefix, a, b in pairs:
             n = n_samples if a.cells.shape[1] == 3 else max(n_samples // 5, 1)  # a curve needs fewer than a surface
-            row |= _figures(prefix, distances(a, b, n), size)
+            row |= _figures(prefix, distances(a, b, n, beyond=prefix != "back_" or c.window is None), size)
         rows.append(row)
         signed.append(signed_distances(rebuilt[k], target))
         ctx.progress(k + 1, n_shapes, "reconstructed from the others")
@@ -68,7 +69,8 @@ def measure_quality(
     _tell(rows, ctx)
     names = [name for name in rows[0] if name != "bbox_diag"]
     names.insert(names.index("max_dist") + 1, "bbox_diag")
-    table = Table({name: [row[name] for row in rows] for name in names}, COMMENT)
+    comment = COMMENT if c.window is None else f"{COMMENT}; {WINDOW}"
+    table = Table({name: [row[name] for row in rows] for name in names}, comment)
     return table, {"ids": np.array(c.ids), "points": rebuilt, "distance": np.stack(signed)}
 
 

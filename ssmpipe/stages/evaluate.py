@@ -154,7 +154,7 @@ def _transfer(
 STAGE = Stage(
     name="evaluate",
     scope="cohort",
-    version=4,  # samples do not depend on the numbering; tables name file units where there are no mm
+    version=5,  # with rims: free, the way back leaves out what lies beyond the part that the model covers
     config=Config,
     run=run,
     inputs=(

@@ -6,16 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssmpipe.core.arrays import Floats, Ints
+from ssmpipe.core.arrays import Bools, Floats, Ints
 from ssmpipe.core.evaluation.locating import locate
 from ssmpipe.core.mesh.distance import sample_surface, signed_point_to_mesh
 from ssmpipe.core.mesh.grid import grid_faces
+from ssmpipe.core.mesh.topology import unique_edges
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.outline.outline import edge_indices
 from ssmpipe.core.spline.curve import BSplineCurve
 from ssmpipe.core.spline.fit import surface_grid
 from ssmpipe.core.spline.fit_curve import curve_points
 from ssmpipe.core.spline.surface import BSplineSurface
+
+_ON_EDGE = 1e-9  # barycentric coordinate below which a place lies on the opposite edge
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +84,34 @@ def even_points(geometry: Geometry, n: int) -> Floats:
     return np.asarray(start[cell] + share[:, None] * (end - start)[cell])
 
 
-def distances(source: Geometry, target: Geometry, n_samples: int = 10000) -> Distances:
+def facing(points: Floats, target: Geometry) -> Bools:
+    """Say which points face a surface: those whose nearest place is not on its rim. The others lie beyond it.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+    target : Geometry
+        Triangles; a closed surface faces all points.
+
+    Examples
+    --------
+    >>> square = Geometry(np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]]), np.array([[0, 1, 2], [0, 2, 3]]))
+    >>> facing(np.array([[0.5, 0.5, 3], [0.2, 0.9, 1], [0.5, 1.5, 0], [2, 2, 0]]), square)
+    array([ True,  True, False, False])
+    """
+    edges = unique_edges(target.cells)
+    rim = np.sort(edges.vertices[edges.n_faces == 1], axis=1)
+    n = len(target.points)
+    _, face, weights = locate(points, target.points, target.cells)
+    used = weights > _ON_EDGE
+    corners = np.sort(np.where(used, target.cells[face], -1), axis=1)
+    first = np.where(corners[:, 1] < 0, corners[:, 2], corners[:, 1])  # a corner: twice itself
+    on_edge = np.isin(first * n + corners[:, 2], rim[:, 0] * n + rim[:, 1])
+    at_corner = (corners[:, 1] < 0) & np.isin(corners[:, 2], rim)
+    return np.asarray(used.all(axis=1) | ~(on_edge | at_corner))
+
+
+def distances(source: Geometry, target: Geometry, n_samples: int = 10000, *, beyond: bool = True) -> Distances:
     """Measure from the points of ``source`` to the nearest place on ``target`` (to the surface, not to its vertices).
 
     Parameters
@@ -89,6 +119,8 @@ def distances(source: Geometry, target: Geometry, n_samples: int = 10000) -> Dis
     source, target : Geometry
     n_samples : int, default=10000
         Points spread evenly over the source for mean, median and percentile; its vertices join them for the maximum.
+    beyond : bool, default=True
+        Count the points that lie beyond the rim of the target as well (see :func:`facing`); where all do, they count in any case.
 
     Examples
     --------
@@ -99,6 +131,10 @@ def distances(source: Geometry, target: Geometry, n_samples: int = 10000) -> Dis
     points = np.concatenate([even_points(source, n_samples), source.points])
     found = locate(points, target.points, target.cells)[0]
     even = found[:n_samples]
+    if not beyond:
+        kept = facing(points, target)
+        if kept[:n_samples].any():
+            found, even = found[kept], even[kept[:n_samples]]
     return Distances(float(even.mean()), float(np.median(even)), float(np.percentile(even, 99)), float(found.max()))
 
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ssmpipe.core.evaluation.quality import Geometry, distances, even_points, signed_distances
+from ssmpipe.core.evaluation.quality import Geometry, distances, even_points, facing, signed_distances
 from ssmpipe.core.outline.outline import edge_indices
 from tests.support.small_run import grid_faces
 
@@ -48,3 +48,21 @@ def test_curves_by_length() -> None:
     edges = edge_indices(400, True)
     assert distances(Geometry(ring, edges), Geometry(1.5 * ring, edges)).mean == pytest.approx(0.5, abs=1e-3)
     assert np.abs(np.linalg.norm(even_points(Geometry(ring, edges), 1000), axis=1) - 1).max() < 1e-3
+
+
+def test_what_lies_beyond_the_rim_can_be_left_out() -> None:
+    """A long tube against one of a larger radius that is shorter: within its length they are one unit apart."""
+    turn, up = np.meshgrid(np.linspace(0, 2 * np.pi, 49)[:-1], np.linspace(0, 10, 41), indexing="ij")
+
+    def tube(radius: float, height: float) -> Geometry:
+        points = np.stack([radius * np.cos(turn), radius * np.sin(turn), up * height / 10], axis=-1).reshape(-1, 3)
+        faces = grid_faces(49, 41)
+        return Geometry(points, faces % len(points))
+
+    long, short = tube(5.0, 20.0), tube(6.0, 12.0)
+    assert (facing(long.points, short) == (long.points[:, 2] < 12)).mean() > 0.96
+    assert facing(short.points + [0, 0, 1e-6], long).mean() > 0.96
+    assert distances(long, short).maximum == pytest.approx(np.hypot(8, 1), rel=1e-3)
+    assert distances(long, short, beyond=False).maximum == pytest.approx(1, abs=0.1)
+    assert distances(short, short, beyond=False).maximum == pytest.approx(0, abs=1e-9)
+    assert facing(long.points, ball(30.0)).mean() > 0.96
