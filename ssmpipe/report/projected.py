@@ -180,9 +180,11 @@ def _scan(page: ProjectedPage) -> Section | None:
             colours=colours, inches=3.2, dpi=100,
         )  # fmt: skip
         shots.append((name, png_uri(shot)))
+    beyond = float(page.numbers.get("beyond_share") or 0.0)
     html = fill(
-        "projected_scan.html.j2", shots=shots, ramp=ramp_uri(), limit=f"{limit:g}", unit=page.unit, is_part=page.is_part
-    )
+        "projected_scan.html.j2", shots=shots, ramp=ramp_uri(), limit=f"{limit:g}", unit=page.unit, is_part=page.is_part,
+        beyond=f"{100 * beyond:.0f}" if beyond > 0.005 else "",
+    )  # fmt: skip
     return Section("scan", "The scan and what the model makes of it", html)
 
 

@@ -14,12 +14,12 @@ import numpy as np
 from ssmpipe import __version__
 from ssmpipe.contract import Table
 from ssmpipe.core.align.rigid import apply
-from ssmpipe.core.arrays import Floats
+from ssmpipe.core.arrays import Bools, Floats
 from ssmpipe.core.correspondence.choices import boundary_of, closes, start_of
 from ssmpipe.core.correspondence.newcomer import FixedCohort, Newcomer, bring_in
 from ssmpipe.core.correspondence.optimize import EngineOptions
 from ssmpipe.core.errors import ConfigError
-from ssmpipe.core.evaluation.quality import Geometry
+from ssmpipe.core.evaluation.quality import Geometry, facing
 from ssmpipe.core.mesh.distance import signed_point_to_mesh
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.model.posterior import NOWHERE, Observations, posterior
@@ -541,6 +541,7 @@ class Projection:
         training = _rms_each(others.residuals)
         verdict = self.new.certificate
         to_scan, to_model = self.distances()
+        covered = self.covered()
         return {
             "id": shape,
             "side": side or "",
@@ -551,7 +552,8 @@ class Projection:
             "residual_rms_mm": residual,
             "residual_p": rank(residual, training),
             **summary("to_scan", to_scan),
-            **summary("from_scan", to_model),
+            **summary("from_scan", to_model[covered]),
+            "beyond_share": 1.0 - float(covered.mean()) if len(covered) else 0.0,
             "description_length_before": self.new.description_length[0],
             "description_length_after": self.new.description_length[1],
             "certificate": {
@@ -564,7 +566,10 @@ class Projection:
         }
 
     def distances(self) -> tuple[Floats, Floats]:
-        """Return signed distances from the reconstruction to the scan and back [mm], positive where the scan lies outside."""
+        """Return signed distances from the reconstruction to the scan and back [mm], positive where the scan lies outside.
+
+        Zero on the way back where the model does not cover the scan.
+        """
         if self.observed is None:
             return np.empty(0), np.empty(0)
         if isinstance(self.observed, Outline):
@@ -575,10 +580,19 @@ class Projection:
                 point_to_segments(self.observed.points, self.reconstruction, edges)[0],
             )
         model_surface = TriMesh(self.reconstruction, self.target.model.faces)
-        return (
-            -signed_point_to_mesh(self.reconstruction, self.observed),
-            signed_point_to_mesh(self.observed.vertices, model_surface),
+        to_model = signed_point_to_mesh(self.observed.vertices, model_surface)
+        return -signed_point_to_mesh(self.reconstruction, self.observed), np.where(self.covered(), to_model, 0.0)
+
+    def covered(self) -> Bools:
+        """Say which vertices of the scan the model covers: all, but those beyond its rim where the rims of the model are free."""
+        if isinstance(self.observed, TriMesh) and self.target.model.window is not None:
+            return facing(self.observed.vertices, Geometry(self.reconstruction, self.target.model.faces))
+        n = (
+            0
+            if self.observed is None
+            else len(self.observed.points if isinstance(self.observed, Outline) else self.observed.vertices)
         )
+        return np.ones(n, dtype=bool)
 
     def page(self, source: Source, warnings: Sequence[tuple[str, str]]) -> ProjectedPage:
         """Return what the page of the shape shows."""
