@@ -11,7 +11,7 @@ from ssmpipe.contract import Context, Landmarks, Port, Stage, StageConfig
 from ssmpipe.core.align.affine_icp import affine_onto
 from ssmpipe.core.align.rigid import apply
 from ssmpipe.core.arrays import Floats
-from ssmpipe.core.errors import ConfigError, LandmarkError, TopologyError
+from ssmpipe.core.errors import ConfigError, GeometryError, LandmarkError, TopologyError
 from ssmpipe.core.mesh.topology import compact, euler_characteristic, face_components
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.parameterize.boundary import (
@@ -39,6 +39,11 @@ from ssmpipe.core.result import Result
 _QUARTERS = "quarters of the rim"
 ROLES = ("corner_1", "corner_2", "corner_3", "corner_4")
 POLE_ROLES = ("apex", "antapex", "seam")
+_REMEDY_CARRIED = (
+    "see whether it is of the other side (align.chirality: best-fit) or was cut far from where the others were; else give landmarks "
+    "with the roles corner_1 to corner_4"
+)
+_REMEDY_OWN = "give landmarks with the roles corner_1 to corner_4"
 Vector = tuple[float, float, float]
 
 
@@ -287,7 +292,12 @@ def _square(
     wanted, source = _wanted_corners(mesh, landmarks, reference, cfg, ctx)
     with_corners, corners, away = insert_corners(mesh, wanted)
     disk = split_chords(with_corners)
-    ordered = order_corners(rim_of(disk), corners)
+    try:
+        ordered = order_corners(rim_of(disk), corners)
+    except GeometryError as error:
+        if source == "landmarks":
+            raise
+        raise GeometryError(error.fact, _REMEDY_CARRIED if source == "reference" else _REMEDY_OWN) from error
     if cfg.method == "slim":
         result = parameterize_slim(disk, ordered, weighting=cfg.weighting, max_iterations=cfg.max_iterations)
     else:

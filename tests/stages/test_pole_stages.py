@@ -7,7 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from ssmpipe.contract import Context, Landmarks
-from ssmpipe.core.errors import ConfigError, FoldoverError, LandmarkError
+from ssmpipe.core.errors import ConfigError, FoldoverError, GeometryError, LandmarkError
 from ssmpipe.core.mesh.primitives import sphere, star_shape
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.parameterize.seam import Seam
@@ -143,6 +143,28 @@ def test_poles_are_those_of_the_reference():
     wanted = poles @ linear.T + [2.0, 0.0, -1.0]
     there = carried["mesh"].vertices[list(carried["seam"].poles)]
     assert np.linalg.norm(there - wanted, axis=1).max() < 0.5
+
+
+@pytest.mark.parametrize(
+    ("inputs", "says"),
+    [
+        ({"reference": True}, r"same boundary vertex; try: .*best-fit.*corner_1"),
+        ({"reference": False}, r"same boundary vertex; try: give landmarks"),
+        (
+            {"landmarks": Landmarks({f"corner_{k}": np.zeros(3) for k in range(1, 5)})},
+            "move the corner landmarks apart",
+        ),
+    ],
+)
+def test_corners_that_fall_together_are_blamed_on_where_they_come_from(inputs, says, monkeypatch):
+    cap_ = cap()
+    monkeypatch.setattr(parameterize, "affine_onto", lambda *_: np.diag([0.0, 0, 0, 1]))
+    monkeypatch.setattr(
+        parameterize, "corners_by_angle", lambda mesh, *_, **__: np.repeat(mesh.vertices[:1], 4, axis=0)
+    )
+    given = inputs | {"reference": cap_ if inputs.get("reference") else None}
+    with pytest.raises(GeometryError, match=says):
+        go(parameterize, {}, mesh=cap_, **given)
 
 
 def test_corners_are_those_of_the_reference():
