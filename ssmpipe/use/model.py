@@ -39,6 +39,11 @@ class Model:
     shape_model: ShapeModel
     path: Path
 
+    def __repr__(self) -> str:
+        """Return sizes instead of arrays."""
+        n_points, d = self.mean.shape
+        return f"<Model {self.path}: {self.topology}, {len(self.ids)} shapes, {n_points} points in {d}-D, {len(self.variances)} modes>"
+
     @property
     def ids(self) -> tuple[str, ...]:
         """Shapes that the model was built from."""

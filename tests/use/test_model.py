@@ -23,6 +23,12 @@ def test_instance_and_project_are_inverse(model: Model) -> None:
     assert model.distance([3.0, 4.0]) == pytest.approx(5.0)
 
 
+def test_a_printed_model_says_its_sizes_and_no_arrays(model: Model) -> None:
+    n_points = len(model.mean)
+    told = f": {model.topology}, {len(model.ids)} shapes, {n_points} points in 3-D, {len(model.variances)} modes>"
+    assert repr(model) == f"<Model {model.path}{told}"
+
+
 def test_the_shapes_of_the_cohort_come_back_from_their_scores(model: Model) -> None:
     for row in model.scores:
         assert np.allclose(model.project(model.instance(row)), row, atol=1e-10)
