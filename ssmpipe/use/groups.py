@@ -193,7 +193,9 @@ def _column(
         have = f"there are {', '.join(there)}" if there else f"no cohort table is beside {model.path.name}"
         raise ConfigError(
             f"there is no column '{name}' for {option}; {have}",
-            f"choose one of them with {option}" if there else "set input.cohort in the config and run `model` again",
+            f"choose one of them with {option}, or add the column to the cohort table and `ssmpipe run` again"
+            if there
+            else "set input.cohort in the config and run `model` again",
         )
     return [columns.get(key, {}).get(name, "") for key in ids]
 

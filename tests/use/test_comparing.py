@@ -147,6 +147,7 @@ def test_the_page_asks_nothing_of_the_network_and_escapes_names(tmp_path: Path) 
     ("arguments", "words"),
     [
         (["--by", "kind"], "there is no column 'kind' for --by; there are group, age, sex, one"),
+        (["--by", "kind"], "or add the column to the cohort table and `ssmpipe run` again"),
         (["--by", "one"], "column 'one' has 1 value"),
         (["--groups", "healthy,sick"], "no shape has 'sick' in column 'group'; there are healthy, ill"),
         (["--groups", "ill"], "--groups names ill only, at least two groups are needed"),
