@@ -383,7 +383,11 @@ def report(config: Path, overrides: tuple[str, ...], form: str, pseudonymize: bo
 @click.option("-o", "--output", "target", type=PATH, required=True, metavar="CONFIG.yaml", help="Config file to write.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.  [default: off]")
 def init(anatomy: str, scans_dir: Path, target: Path, overwrite: bool) -> None:
-    """Write a commented config for a folder of scans."""
+    """Write a commented config for a folder of scans.
+
+    ANATOMY is one of femur-distal, femur-proximal, aorta, tube, closed (spleens, whole bones), disk (one rim), curve (planar outlines,
+    photographs). cohort.csv and landmarks.json are found beside the scans.
+    """
     with _errors(_debug()):
         from ssmpipe.runner.init import write_config
 

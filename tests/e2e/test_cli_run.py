@@ -119,6 +119,13 @@ def test_usage_errors_give_2(call: Call, config: Path, args: list[str], text: st
     assert "Traceback" not in result.output
 
 
+def test_help_of_init_names_every_anatomy(call: Call) -> None:
+    from ssmpipe.runner.presets import PRESETS
+
+    words = set(call("init", "--help").output.replace(",", " ").split())
+    assert set(PRESETS) <= words
+
+
 def test_lock_held_gives_75(call: Call, config: Path) -> None:
     with locked(config.parent / "out"):
         result = call("run", config)
