@@ -170,7 +170,7 @@ def _summary(page: ComparisonPage) -> Section:
 
 def _in_words(page: ComparisonPage, joint: JointTest) -> str:
     held = percent(float(page.comparison.variances[: joint.n_dimensions].sum() / page.comparison.variances.sum()))
-    where = f"in the {count(joint.n_dimensions, 'mode')} that hold {held} of the variation"
+    where = f"in the {count(joint.n_dimensions, 'mode')} with {held} of the variation"
     if joint.p <= page.alpha:
         return f"Taken together, {where}, the groups differ (p = {p_value(joint.p)})."
     return (
@@ -357,8 +357,8 @@ def _modes(page: ComparisonPage) -> Section:
         rows.append([*row, *(p_value(float(x[m])) for x in (tests.p, tests.q, tests.p_family, tests.p_joint))])
     kept = found.count
     note = (
-        f"{count(kept.kept, 'mode')} kept. {count(kept.by_parallel_analysis, 'mode')} stand out from shuffled data (parallel analysis), "
-        f"{kept.by_variance} hold 98 % of the variance, {kept.allowed} is a third of the degrees of "
+        f"{count(kept.kept, 'mode')} kept. {count(kept.by_parallel_analysis, 'mode')} above shuffled data (parallel analysis), "
+        f"{kept.by_variance} for 98 % of the variance, {kept.allowed} is a third of the degrees of "
         "freedom, the most that is taken unasked. "
         "The last column tells how much hangs on that number. q: false discovery rate."
     )
