@@ -47,7 +47,7 @@ class Console:
 
     def table(self, table: Any) -> None:
         """Print a rich table; wide ones are not cut when the output is a file."""
-        console = self.out if self.out.is_terminal else _Pipe(file=sys.stdout, width=200, highlight=False)
+        console = self.out if self.out.is_terminal else _Pipe(file=sys.stdout, width=200, highlight=False, markup=False)
         console.print(table)
 
     def __enter__(self) -> Console:

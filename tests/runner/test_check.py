@@ -112,5 +112,6 @@ def test_the_cost_of_the_group_stages_is_said_where_there_is_an_optimize(
     text = " ".join(capsys.readouterr().out.split())
     assert "group stages, 4 shapes x 651 landmarks x 30 coefficients: about" in text
     assert "of memory" in text
+    assert "size [mm]" in text, "brackets are text, not markup"
     print_checks([replace(c, error="bad") for c in fine[:2]] + fine[2:], one, Console())
     assert "group stages" not in capsys.readouterr().out, "too few shapes are left"
