@@ -21,7 +21,7 @@ from ssmpipe.runner.plan import PlannedStep
 from ssmpipe.runner.presets import PRESETS
 from ssmpipe.runner.registry import Registry
 from ssmpipe.runner.run import default_jobs
-from ssmpipe.runner.sources import TO_MM, Source, check_landmarks, check_size, landmark_distances
+from ssmpipe.runner.sources import PLAUSIBLE_MM, TO_MM, Source, check_landmarks, check_size, landmark_distances
 from ssmpipe.runner.suggest import count
 
 if TYPE_CHECKING:
@@ -146,7 +146,11 @@ def _inspect_mesh(source: Source, found: ScanCheck) -> ScanCheck:
     distances = landmark_distances(mesh, points)
     found = replace(found, farthest=max(distances.values(), default=None))
     try:
-        check_size(mesh, source.diagonal_mm, source.anatomy, source.units)
+        diagonal = check_size(mesh, source.diagonal_mm, source.anatomy, source.units)
+        if source.units != "none" and not PLAUSIBLE_MM[0] <= diagonal <= PLAUSIBLE_MM[1]:
+            warnings.append(
+                f"bounding box diagonal is {diagonal:.3g} mm with input.units: {source.units}; options in mm would not fit"
+            )
         warnings += check_landmarks(mesh, points, source.tolerance_mm, source.units)
     except SsmpipeError as error:
         errors.append(str(error))

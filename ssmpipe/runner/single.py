@@ -33,13 +33,12 @@ from ssmpipe.runner.config import InputConfig, explain
 from ssmpipe.runner.disk import disk_errors
 from ssmpipe.runner.document import parse_value
 from ssmpipe.runner.execute import failure_of, make_rng
-from ssmpipe.runner.sources import check_landmarks
+from ssmpipe.runner.sources import PLAUSIBLE_MM, check_landmarks
 
 COHORT_KINDS = {"correspondence": "correspondence.npz", "model": "model.npz"}
 PER_VERTEX = ("uv",)  # not valid any more when the mesh has changed
 JSON_KINDS = ("landmarks", "transform", "info", "json")
 SHAPES = "shapes.json"
-PLAUSIBLE_MM = (2.0, 5000.0)  # diagonal of a scan, from a mouse vertebra to a whole body
 
 
 def stage_command(stage: Stage, guard: Callable[[], AbstractContextManager[None]]) -> click.Command:

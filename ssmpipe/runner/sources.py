@@ -20,6 +20,8 @@ from ssmpipe.runner.suggest import count
 
 ID = re.compile(r"(?!\.)[A-Za-z0-9._-]{1,64}")
 TO_MM: Mapping[str, float] = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001, "none": 1.0}
+PLAUSIBLE_MM = (2.0, 5000.0)
+"""Bounding-box diagonal of a scan, from a mouse vertebra to a whole body."""
 SPLINE_SUFFIX = ".npz"
 OUTLINE_SUFFIXES = (".csv", ".pts", ".asf")
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".pbm", ".pnm", ".webp")

@@ -53,6 +53,15 @@ def test_options_of_the_config_count(project: Load, scans: Path) -> None:
     assert kept == dict.fromkeys("abcd", "")
 
 
+def test_a_size_that_no_scan_has_is_a_warning_where_the_anatomy_tells_none(project: Load) -> None:
+    one = project()
+    for units, told in (("mm", False), ("m", True), ("um", True), ("none", False)):
+        source = replace(next(iter(one.sources.values())), units=units)
+        found = inspect(source, one.plan.steps, one.registry, one.config.seed)
+        assert not found.error
+        assert any(f"with input.units: {units}" in w for w in found.warnings) is told, units
+
+
 def test_nothing_is_written_and_no_bug_ends_it(project: Load, tmp_path: Path) -> None:
     found = errors(project("stages.grow.bug=[a]"))
     assert found["a"] == "internal error ZeroDivisionError: oops"
