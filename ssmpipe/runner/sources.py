@@ -253,13 +253,42 @@ def check_landmarks(shape: Any, points: Mapping[str, Any], tolerance_mm: float, 
         more = f" (and {len(far) - 3} more)" if len(far) > 3 else ""
         raise LandmarkError(
             f"landmark {listed} away from the surface{more}, at most {limit:.3g} is accepted",
-            "check that landmarks and scan belong together and have the same units, or raise input.landmark_tolerance",
+            _what_would_fit(shape, points, limit)
+            or "check that landmarks and scan belong together and have the same units, or raise input.landmark_tolerance",
         )
     return [
         f"landmark '{name}' is {d:.1f} {unit} away from the surface; check that it belongs to this scan"
         for name, d in distances.items()
         if d > warn
     ]
+
+
+def _what_would_fit(shape: Any, points: Mapping[str, Any], limit: float) -> str:
+    """Say which other units, or which other frame, would bring all landmarks onto the shape; empty when none does, or few are given."""
+    import numpy as np
+
+    corners = shape.vertices if hasattr(shape, "vertices") else shape.points
+    places = np.array(list(points.values()), dtype=np.float64)
+    if len(places) < 3:
+        return ""
+    reach, extent = (float(np.linalg.norm(np.ptp(x, axis=0))) for x in (corners, places))
+    changes: list[tuple[Any, str]] = [
+        (f, f"multiply the landmarks by {f:g}: they have other units than the scan")
+        for f in (10, 0.1, 100, 0.01, 1000, 0.001)
+    ]
+    if places.shape[1] == 3:
+        turn = np.array([-1.0, -1.0, 1.0])
+        changes.append(
+            (turn, "change the signs of x and y of the landmarks: one of the files is in RAS, the other in LPS")
+        )
+    for factor, remedy in changes:
+        told = {str(k): place for k, place in enumerate(places * factor)}
+        if (
+            extent * float(np.abs(factor).max()) > 0.1 * reach
+            and max(landmark_distances(shape, told).values()) <= limit
+        ):
+            return remedy
+    return ""
 
 
 def scan_files(patterns: Sequence[Path], suffixes: Sequence[str]) -> list[Path]:

@@ -10,11 +10,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import ssmpipe.runner.batch as batch
 import ssmpipe.runner.execute as execute
-from ssmpipe.core.errors import ConfigError, SsmpipeError
+from ssmpipe.core.errors import ConfigError, LandmarkError, SsmpipeError
 from ssmpipe.io.meshes import read_mesh, write_mesh
 from ssmpipe.runner.batch import Job, run_job
 from ssmpipe.runner.config import Project
@@ -25,6 +26,7 @@ from ssmpipe.runner.lock import LockHeldError, locked
 from ssmpipe.runner.manifest import read_manifest
 from ssmpipe.runner.patience import ClusterLostError
 from ssmpipe.runner.run import RunOptions, RunResult, dry_run, make_workspace, run_project
+from ssmpipe.runner.sources import check_landmarks
 from ssmpipe.runner.status import status_of
 from tests.support.toys import TOY, tetrahedron
 
@@ -249,6 +251,26 @@ def test_units_landmarks_and_roles_name_their_remedy(run: Run, scans: Path, tmp_
     assert lines["d"] == (
         "d, repair, d.ply: bounding box diagonal is 0.173 mm, femur-distal expects 60-700 mm; try: set input.units: m"
     )
+
+
+@pytest.mark.parametrize(
+    ("factor", "remedy"),
+    [
+        (0.1, "multiply the landmarks by 10: they have other units"),
+        (1000.0, "multiply the landmarks by 0.001: they have other units"),
+        ([-1, -1, 1], "change the signs of x and y of the landmarks"),
+        ([1, 1, -1], "check that landmarks and scan belong together"),
+        (0.0, "check that landmarks and scan belong together"),
+    ],
+)
+def test_landmarks_in_other_units_or_frames_are_recognized(factor: Any, remedy: str) -> None:
+    scan = tetrahedron(100.0, at=300.0)
+    marks = {f"m{k}": np.array(factor) * place for k, place in enumerate(scan.vertices)}
+    with pytest.raises(LandmarkError) as caught:
+        check_landmarks(scan, marks, 20.0, "mm")
+    assert str(caught.value.remedy).startswith(remedy)
+    with pytest.raises(LandmarkError, match="check that landmarks and scan belong together"):
+        check_landmarks(scan, dict(list(marks.items())[:2]), 20.0, "mm")  # two may fit by chance
 
 
 def test_too_few_shapes(run: Run, project: Load) -> None:
