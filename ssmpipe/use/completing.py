@@ -211,8 +211,12 @@ def _best_image(
     if not found:
         raise GeometryError("the fragment cannot be placed on the model", "check units and that it is of this anatomy")
     best = min(found, key=lambda f: f[0])
+    taken = f"it was taken {'as it is' if best[2][0, 0] > 0 else 'as the mirror image'}, which fits better"
+    by_side = any(step.get("options", {}).get("mirror", "none") != "none" for step in fragment.steps)
     warnings.append(
-        f"the side is unknown; it was taken {'as it is' if best[2][0, 0] > 0 else 'as the mirror image'}, which fits better; say --side"
+        f"the side is unknown; {taken}; say --side"
+        if by_side
+        else f"the model does not go by sides (align.chirality: best-fit); {taken}"
     )
     return best[1], best[2]
 

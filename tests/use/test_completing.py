@@ -6,6 +6,8 @@ import csv
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from ssmpipe.core.model.shape_model import Chain
 from ssmpipe.io.arrays import read_npz
 from ssmpipe.io.meshes import read_mesh, write_mesh
 from ssmpipe.io.models import write_model
-from ssmpipe.use.completing import _filled
+from ssmpipe.use.completing import Fragment, _best_image, _filled
 from ssmpipe.use.projecting import ProjectResult, exit_code_of
 from tests.core.model.test_completion import fragment, setting
 from tests.support.eggs import ssmpipe
@@ -107,6 +109,26 @@ def test_holes_that_cannot_be_filled_are_counted_and_end_with_3(monkeypatch: pyt
     row = {"certificate": {"status": "partial"}, "holes_left": n_left}
     assert exit_code_of(ProjectResult(0, {"part": row})) == 3
     assert exit_code_of(ProjectResult(0, {"part": {**row, "holes_left": 0}})) == 0
+
+
+@pytest.mark.parametrize(
+    ("step", "side", "says"),
+    [
+        ({"stage": "orient", "options": {"mirror": "left"}}, None, "the side is unknown; it was taken as it is"),
+        ({"stage": "align", "options": {"chirality": "best-fit"}}, "R", "the model does not go by sides"),
+    ],
+)
+def test_side_is_asked_for_only_where_it_would_help(
+    step: dict[str, Any], side: str | None, says: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model, _, whole = setting()
+    found = SimpleNamespace(points=model.mean, matrix=np.eye(4), rms=0.0)
+    monkeypatch.setattr("ssmpipe.use.completing.complete", lambda *_: found)
+    warnings: list[str] = []
+    _best_image(whole, Fragment(whole, np.eye(4), side, [step], False), model, cast(Any, None), warnings)
+    assert len(warnings) == 1
+    assert warnings[0].startswith(says)
+    assert ("say --side" in warnings[0]) is (side is None)
 
 
 def test_a_second_call_that_fails_leaves_nothing_of_the_first(completed: Path) -> None:
