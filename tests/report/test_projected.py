@@ -92,6 +92,12 @@ def test_a_completed_fragment_shows_what_was_seen_and_no_certificate() -> None:
     assert payload["maps"][0]["signed"] is False
 
 
+def test_what_the_model_does_not_cover_is_told(html: str) -> None:
+    page = build_projected(whole(numbers={**numbers(5), "beyond_share": 0.35}))
+    assert "35 % of it lies beyond the part that the model covers" in page
+    assert "beyond the part that the model covers" not in html
+
+
 def test_outlines_and_file_units() -> None:
     run = planar_run("curve-closed")
     page = whole(
