@@ -143,7 +143,8 @@ class Config(StageConfig):
         Literal["auto", "identity", "affine"],
         Field(
             description="Where the maps begin. identity: as the shapes were parameterized; affine: near the closest points of the "
-            "reference on every shape after an affine registration; auto: affine for surfaces with normalize: affine and no guides."
+            "reference on every shape after an affine registration; auto: affine for surfaces with poles (cone, closed) with normalize: "
+            "affine and no guides, else identity."
         ),
     ] = "auto"
     coarse_to_fine: Annotated[bool, Field(description="Solve coarser nested spaces first, by knot insertion.")] = (
@@ -268,7 +269,7 @@ def run(
     topology = _topology(ids, splines)
     chosen["boundary"] = _boundary(cfg.boundary, topology)
     chosen["open_edges"] = _rims(cfg, topology, splines)
-    options = EngineOptions(**chosen, reference=_reference(cfg.reference, ids), start=_start(cfg, splines))
+    options = EngineOptions(**chosen, reference=_reference(cfg.reference, ids), start=_start(cfg, topology, splines))
     start = time.perf_counter()
     elapsed: list[float] = []
 
@@ -395,11 +396,11 @@ def _topology(ids: tuple[str, ...], splines: list[Spline]) -> str:
     return kinds[0]
 
 
-def _start(cfg: Config, splines: Sequence[Spline]) -> Literal["identity", "affine"]:
-    surfaces = isinstance(splines[0], BSplineSurface) and splines[0].dimension == 3
+def _start(cfg: Config, topology: str, splines: Sequence[Spline]) -> Literal["identity", "affine"]:
     return start_of(
         cfg.start,
-        surfaces=surfaces,
+        topology=topology,
+        dimension=splines[0].dimension,
         normalize=cfg.normalize,
         guided=bool(cfg.guides),
         reference=cfg.reference,
@@ -577,7 +578,7 @@ def _poles(spline: Spline) -> list[dict[str, Any]]:
 STAGE = Stage(
     name="optimize",
     scope="cohort",
-    version=13,
+    version=14,
     config=Config,
     run=run,
     inputs=(Port("surface", "surface"), Port("transform", "transform"), Port("landmarks", "landmarks", optional=True)),

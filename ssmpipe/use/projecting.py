@@ -148,7 +148,8 @@ def engine_options(model: ShapeModel, content: Mapping[str, Any]) -> EngineOptio
     }
     start = start_of(
         given.get("start", "identity"),
-        surfaces=len(model.faces) > 0,
+        topology=model.topology,
+        dimension=model.mean.shape[1],
         normalize=str(kept.get("normalize")),
         guided=bool(given.get("guides")),
         reference=given.get("reference", ""),

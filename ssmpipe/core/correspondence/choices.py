@@ -34,26 +34,33 @@ def boundary_of(choice: Boundary | Literal["auto"], topology: str) -> Boundary:
 def start_of(
     choice: Literal["auto", "identity", "affine"],
     *,
-    surfaces: bool,
+    topology: str,
+    dimension: int = 3,
     normalize: str,
     guided: bool,
     reference: int | str,
     rims: str = "kept",
 ) -> Literal["identity", "affine"]:
-    """Return where the maps begin; a cohort without a reference has nothing to register to.
+    """Return where the maps begin.
+
+    Maps with poles say little of where they lie, and begin at a registration. Rims say more: disks and tubes begin at the identity
+    (docs/families.md), unless they are free. A cohort without a reference has nothing to register to.
 
     Examples
     --------
-    >>> start_of("auto", surfaces=True, normalize="affine", guided=False, reference="nearest-to-mean")
+    >>> start_of("auto", topology="cone", normalize="affine", guided=False, reference="nearest-to-mean")
     'affine'
-    >>> start_of("auto", surfaces=True, normalize="affine", guided=False, reference="none")
+    >>> start_of("auto", topology="tube", normalize="affine", guided=False, reference="nearest-to-mean")
+    'identity'
+    >>> start_of("auto", topology="cone", normalize="affine", guided=False, reference="none")
     'identity'
     """
     if rims == "free":  # they are found by a registration
         return "affine"
     if choice != "auto":
         return choice
-    return "affine" if surfaces and normalize == "affine" and not guided and reference != "none" else "identity"
+    poles = topology in ("cone", "closed") and dimension == 3
+    return "affine" if poles and normalize == "affine" and not guided and reference != "none" else "identity"
 
 
 def rims_of(topology: str) -> tuple[tuple[int, int], ...]:
