@@ -26,7 +26,7 @@ from make_families import carried  # noqa: E402
 from make_femur_proximal import draw_lines, save  # noqa: E402
 from study_cohorts import expert_error, fitted, run_to_fit  # noqa: E402
 
-from ssmpipe.core.correspondence.choices import boundary_of, rims_of  # noqa: E402
+from ssmpipe.core.correspondence.choices import boundary_of, rims_of, start_of  # noqa: E402
 from ssmpipe.core.correspondence.optimize import EngineOptions, Optimum, optimize_correspondence  # noqa: E402
 from ssmpipe.core.mesh.distance import point_to_mesh  # noqa: E402
 from ssmpipe.core.mesh.grid import grid_faces  # noqa: E402
@@ -52,8 +52,11 @@ class Cohort:
 
 def optimized(splines: list[Spline], rims: str) -> Optimum:
     topology = surface_topology(splines[0])
+    start = start_of(
+        "auto", topology=topology, normalize="affine", guided=False, reference="nearest-to-mean", rims=rims
+    )
     options = EngineOptions(
-        start="affine", boundary=boundary_of("auto", topology), rims=rims, open_edges=rims_of(topology)
+        start=start, boundary=boundary_of("auto", topology), rims=rims, open_edges=rims_of(topology)
     )
     return optimize_correspondence(splines, options).value
 

@@ -26,7 +26,7 @@ from ssmpipe.core.spline.poles import is_pole, surface_topology, tangent_plane
 from ssmpipe.core.spline.surface import BSplineSurface
 
 _DEFAULT = EngineOptions()
-APART = 0.03
+APART = 0.04
 """Rims that are kept and lie farther apart than this are worth a word [mean share of the parameter]; see docs/rims.md."""
 POLE_DEVIATION_DEG = 1e-6  # of control points from one plane through the pole: rounding
 

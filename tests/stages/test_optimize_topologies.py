@@ -147,6 +147,7 @@ def test_free_rims_are_written_with_what_they_cover(tmp_path):
 
 
 def test_kept_rims_that_lie_apart_get_a_hint(monkeypatch):
+    monkeypatch.setattr(optimize, "APART", 0.02)
     _, ctx = cut_tubes()
     assert any("use optimize.rims: free" in w and "t1" in w for w in ctx.warnings)
     monkeypatch.setattr(optimize, "APART", 2 * ctx.metrics["mean_rim_shift"])
