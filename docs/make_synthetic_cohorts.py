@@ -18,7 +18,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
@@ -107,7 +106,6 @@ def cuts_text(work: Path, data: Path, out: Path) -> str:
     per_shape = against_truth_by_shape(out, data)
     worst = int(np.argmax(per_shape))
     rest = [k for k in range(len(per_shape)) if k != worst]
-    rings = axial_spread(out, data)
     return f"""### Where the ends are cut
 
 Mean error at the {errors[0]["after"].shape[1]} true points that all three keep [mm]:
@@ -116,38 +114,8 @@ Mean error at the {errors[0]["after"].shape[1]} true points that all three keep 
 |---|---|---|---|---|---|
 {rows}
 
-True rings of the wall lie at these distances from the lower cut, with this standard deviation between the aortas [mm]:
-{", ".join(f"{at:.0f} ± {spread:.2f}" for at, spread in rings)}. Beyond the sinuses the wall is smooth, and no shape tells where on
-it a ring lies: two aortas differ there by {2 / np.sqrt(np.pi) * rings[-2][1]:.1f} mm on average whatever one does.
-
 `{result["ids"][worst]}` carries most of what is left: {per_shape[worst]:.2f} mm, the others {per_shape[rest].mean():.2f} mm on average.
 """
-
-
-def axial_spread(out: Path, data: Path, n_rings: int = 6) -> list[tuple[float, float]]:
-    """Return how far from the lower cut true rings lie on average along the wall, and how far they scatter between shapes [mm].
-
-    Distances are arc lengths of the lines of v before the optimization; what scatters there along a smooth tube no shape tells.
-    """
-    truth, result = np.load(data / "truth.npz"), np.load(out / "cohort" / "optimize" / "correspondence.npz")
-    ids = sorted(path.stem for path in (data / "scans").iterdir())
-    chosen = [ids.index(i) for i in result["ids"].tolist()]
-    points = truth["points"][chosen][:, truth["covered"][chosen].all(axis=0)]
-    m = result["transform"]
-    points = np.einsum("sij,snj->sni", m[:, :3, :3], points) + m[:, None, :3, 3]
-    at = []
-    for grid, places in zip(result["initial_points"].reshape(len(ids), *result["grid"], 3), points, strict=True):
-        steps = np.linalg.norm(np.diff(grid, axis=1), axis=-1).mean(axis=0)
-        arc = np.broadcast_to(np.concatenate([[0.0], np.cumsum(steps)]), grid.shape[:2]).ravel()
-        away, nearest = cKDTree(grid.reshape(-1, 3)).query(places)
-        at.append(np.where(away < 2.0, arc[nearest], np.nan))
-    kept = np.array(at)[:, ~np.isnan(at).any(axis=0)]
-    mean = kept.mean(axis=0)
-    rings = []
-    for where in np.quantile(mean, np.linspace(0.05, 0.95, n_rings)):
-        place = kept[:, np.abs(mean - where) < 1.0].mean(axis=1)
-        rings.append((float(where), float(place.std(ddof=1))))
-    return rings
 
 
 def against_truth_by_shape(out: Path, data: Path) -> np.ndarray:

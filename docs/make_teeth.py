@@ -116,11 +116,11 @@ def main() -> None:
     rows = []
     for i, tooth in zip(ids, after, strict=True):
         m, r = metrics(out, i, "align"), metrics(out, i, "repair")
-        doubt = m["cost_mm"] > 0.95 * m["other_image_cost_mm"]
-        size = ("area_mm2", "volume_mm3", "n_loops", "n_vertices", "n_faces")
+        doubt = m["cost_unit"] > 0.95 * m["other_image_cost_unit"]
+        size = ("area_unit2", "volume_unit3", "n_loops", "n_vertices", "n_faces")
         words = ", ".join(f"{k.replace('_', ' ')} {v}" for k, v in r.items() if v and k not in size) or "-"
         image = ("yes" if m["mirrored"] else "no") + (", doubtful" if doubt else "")
-        costs = [f"{m['cost_mm']:.3f}", f"{m['other_image_cost_mm']:.3f}"]
+        costs = [f"{m['cost_unit']:.3f}", f"{m['other_image_cost_unit']:.3f}"]
         rows.append(
             [i, words, image, *costs, f"{metrics(out, i, 'parameterize')['stretch']:.2f}", str(len(cusps(tooth)))]
         )
