@@ -326,11 +326,13 @@ def _wanted_corners(
     if reference is not None:
         corners, source = _own_corners(reference, cfg, ctx)
         carried = apply(affine_onto(reference, mesh), corners)
+        if source != _QUARTERS:
+            return carried, "reference"
         rim = rim_of(mesh)
         at = rim_fractions(mesh, rim, carried)
         if follow_each_other(at):
-            return carried, f"reference, {source}" if source == _QUARTERS else "reference"
-        # the rim bends so that nearest places change their order: the first one leads, the others follow by arc length
+            return carried, f"reference, {source}"
+        # such a rim bends so that nearest places may change their order: the first one leads, the others follow by arc length
         along = rim_fractions(reference, rim_of(reference), corners)
         return places_on_rim(mesh, rim, at[0] + along - along[0]), "reference, by arc length from the first"
     return _own_corners(mesh, cfg, ctx)

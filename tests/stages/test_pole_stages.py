@@ -160,7 +160,7 @@ def test_corners_that_fall_together_are_blamed_on_where_they_come_from(inputs, s
     cap_ = cap()
     monkeypatch.setattr(parameterize, "affine_onto", lambda *_: np.diag([0.0, 0, 0, 1]))
     monkeypatch.setattr(
-        parameterize, "corners_by_angle", lambda mesh, *_, **__: np.repeat(mesh.vertices[:1], 4, axis=0)
+        parameterize, "corners_of_any_rim", lambda mesh, *_: (np.repeat(mesh.vertices[:1], 4, axis=0), False)
     )
     given = inputs | {"reference": cap_ if inputs.get("reference") else None}
     with pytest.raises(GeometryError, match=says):
