@@ -122,19 +122,18 @@ def _increasing(coefficients: Floats, reparameterization: Reparameterization, ax
     away = np.moveaxis(coefficients[..., axis], axis, 0)
     shape = (-1,) + (1,) * (away.ndim - 1)
     away = away - (reparameterization.window.low[axis] + extent * direction.identity).reshape(shape)
-    for _ in range(_REFINEMENTS):
-        own = (extent * direction.identity).reshape(shape)
-        values = away + own
+    for k in range(_REFINEMENTS):
+        if k > 0:
+            spans = 2 * direction.n_spans
+            count = spans if direction.periodic else spans + direction.degree
+            finer = Direction(count, direction.degree, direction.periodic)
+            away = np.tensordot(direction.refinement(finer), away, axes=(1, 0))
+            direction = finer
+        values = away + (extent * direction.identity).reshape(shape)
         if direction.periodic:
             values = np.concatenate([values, values[:1] + extent])
         if np.diff(values, axis=0).min() > 1e-13:
             return True
-        spans = 2 * direction.n_spans
-        finer = Direction(
-            spans if direction.periodic else spans + direction.degree, direction.degree, direction.periodic
-        )
-        away = np.tensordot(direction.refinement(finer), away, axes=(1, 0))
-        direction = finer
     return False
 
 

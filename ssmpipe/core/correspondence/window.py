@@ -57,10 +57,6 @@ class Window:
         """Return where (..., d_par) parameters of the model lie on the reference."""
         return np.asarray(self.low + self.extent * u)
 
-    def inverse(self, u: Floats) -> Floats:
-        """Return the parameters in the model of (..., d_par) places on the reference; outside of [0, 1] beyond an open edge."""
-        return np.asarray((u - self.low) / self.extent)
-
 
 def whole(n_directions: int) -> Window:
     """Return the window that covers everything.

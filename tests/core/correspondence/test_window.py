@@ -25,11 +25,6 @@ def test_what_is_no_part_of_the_square_is_refused(low, high) -> None:
         Window(low, high)
 
 
-def test_inverse_undoes_image() -> None:
-    u = np.random.default_rng(0).uniform(size=(20, 2))
-    np.testing.assert_allclose(INNER.inverse(INNER.image(u)), u, atol=1e-14)
-
-
 @pytest.mark.parametrize(("window", "boundary"), BOTH)
 def test_the_identity_covers_the_window(window, boundary) -> None:
     space = Reparameterization((6, 5), (9, 8), boundary=boundary, window=window)
