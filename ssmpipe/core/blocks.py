@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
-from typing import TypeVar
+from queue import SimpleQueue
+from typing import Any, Generic, TypeVar, cast
 
 T = TypeVar("T")
 _HERE = threading.local()
@@ -26,48 +26,94 @@ def map_blocks(function: Callable[[slice], T], n: int, size: int, threads: int =
     Raises
     ------
     AssertionError
-        If it is called from inside a block: with threads the inner blocks would wait for the threads that wait for them.
+        If it is called with threads from inside a block: the inner blocks would wait for the threads that wait for them.
 
     Examples
     --------
     >>> map_blocks(lambda s: sum(range(10)[s]), 10, 4)
     [1, 9, 11, 24]
     """
-    if getattr(_HERE, "in_block", False):
+    if threads > 1 and getattr(_HERE, "in_block", False):
         raise AssertionError(
-            "map_blocks was called from inside a block, whose threads would wait for each other for ever"
+            "map_blocks was called with threads from inside a block: they would wait for each other for ever"
         )
     count = -(-n // size)
-    count += count % 2 if count > 1 else 0  # two threads then get the same
+    count += count % 2 if 1 < count < n else 0  # two threads then get the same
     slices = [slice(n * k // count, n * (k + 1) // count) for k in range(count)]
-    out: dict[int, T] = {}
-    left = iter(enumerate(slices))
+    if threads <= 1 or count <= 1:
+        return [function(s) for s in slices]
+    work = _Shared(function, slices)
+    for inbox in _helpers(threads - 1)[: count - 1]:
+        inbox.put(work)
+    work.work()
+    return work.answers()
 
-    def work() -> None:
+
+class _Shared(Generic[T]):
+    """Blocks that threads take one after the other. Nobody waits for a helper that has not woken up: its share is taken by others."""
+
+    def __init__(self, function: Callable[[slice], T], slices: list[slice]) -> None:
+        self._function, self._slices = function, slices
+        self._lock = threading.Lock()
+        self._taken = 0
+        self._answers: dict[int, T] = {}
+        self._failed: dict[int, BaseException] = {}
+        self._finished: SimpleQueue[None] = SimpleQueue()
+
+    def work(self) -> None:
+        """Take blocks until none is left or one has failed."""
         _HERE.in_block = True
-        try:
-            for k, s in left:
-                out[k] = function(s)
-        finally:
-            _HERE.in_block = False
+        while True:
+            with self._lock:
+                k = self._taken
+                if k == len(self._slices) or self._failed:
+                    break
+                self._taken += 1
+            try:
+                self._answers[k] = self._function(self._slices[k])
+            except BaseException as error:
+                self._failed[k] = error
+            finally:
+                self._finished.put(None)
+        _HERE.in_block = False
 
-    if threads <= 1 or len(slices) <= 1:
-        work()
-        return [out[k] for k in range(len(slices))]
+    def answers(self) -> list[T]:
+        """Return the answers in order, when all blocks that were taken have ended; raises the first failure."""
+        for _ in range(self._taken):
+            self._finished.get()
+        if self._failed:
+            raise self._failed[min(self._failed)]
+        return [self._answers[k] for k in range(len(self._slices))]
 
-    # the calling thread works too, and the others are woken once each: a wake costs as much as a small block
-    others = [_pool(threads).submit(work) for _ in range(min(threads, len(slices)) - 1)]
-    try:
-        work()
-    finally:
-        busy = [other for other in others if not other.cancel()]  # who has not woken up yet is not waited for
-        wait(busy)
-    for other in busy:
-        other.result()
-    return [out[k] for k in range(len(slices))]
+
+def side_by_side(function: Callable[[], T], other: Callable[[], object], threads: int = 1) -> T:
+    """Return ``function()`` after both have run, each on a thread of its own if there are two.
+
+    Examples
+    --------
+    >>> seen = []
+    >>> side_by_side(lambda: 3, lambda: seen.append(4)), seen
+    (3, [4])
+    """
+    if threads <= 1:
+        other()
+        return function()
+    answers = map_blocks(lambda one: other() if one.start else function(), 2, 1, threads)
+    return cast("T", answers[0])
 
 
 @cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    # kept: new threads come with new memory, whose first touch costs more than the work of a block
-    return ThreadPoolExecutor(threads - 1)
+def _helpers(n: int) -> list[SimpleQueue[_Shared[Any]]]:
+    """Return the inboxes of ``n`` threads; kept: new threads come with new memory, whose first touch costs more than a block.
+
+    A queue and no executor: an executor takes as long to start and end as a small block.
+    """
+    inboxes: list[SimpleQueue[_Shared[Any]]] = [SimpleQueue() for _ in range(n)]
+    for inbox in inboxes:
+        threading.Thread(target=_help, args=(inbox,), daemon=True).start()
+    return inboxes
+
+
+def _help(inbox: SimpleQueue[_Shared[Any]]) -> None:
+    while True:
+        inbox.get().work()

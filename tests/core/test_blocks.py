@@ -1,8 +1,9 @@
 import threading
+import time
 
 import pytest
 
-from ssmpipe.core.blocks import map_blocks
+from ssmpipe.core.blocks import map_blocks, side_by_side
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
@@ -26,8 +27,31 @@ def test_an_error_in_any_block_arrives(bad):
         map_blocks(function, 4, 1, 2)
 
 
+def test_threads_inside_a_block_are_refused_in_place_of_a_deadlock():
+    with pytest.raises(AssertionError, match="from inside a block"):
+        map_blocks(lambda s: map_blocks(lambda t: t, 2, 1, 2), 2, 1, 2)
+    assert map_blocks(lambda s: map_blocks(lambda t: t.stop, 2, 1), 2, 1, 2) == [[1, 2], [1, 2]]
+
+
+def test_no_block_runs_on_when_the_call_has_failed():
+    running = threading.Event()
+
+    def function(s):
+        if s.start == 0:
+            running.wait(30)
+            raise ValueError("the first fails while the second runs")
+        running.set()
+        time.sleep(0.05)
+        done.append(s.start)
+
+    done = []
+    with pytest.raises(ValueError, match="the first fails"):
+        map_blocks(function, 2, 1, 2)
+    assert done == [1]
+
+
 @pytest.mark.parametrize("threads", [1, 2])
-def test_blocks_inside_a_block_are_refused_in_place_of_a_deadlock(threads: int) -> None:
-    with pytest.raises(AssertionError, match="called from inside a block"):
-        map_blocks(lambda s: map_blocks(lambda t: t, 2, 1, threads), 2, 1, threads)
-    assert map_blocks(lambda s: s.stop, 2, 1, threads) == [1, 2]  # the next call is outside again
+def test_side_by_side_returns_the_first_and_has_run_both(threads):
+    seen = []
+    assert side_by_side(lambda: "first", lambda: seen.append("second"), threads) == "first"
+    assert seen == ["second"]

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks.process_engine import ProcessEngine
+from ssmpipe.core import blocks
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.correspondence.objective import GroupObjective
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
@@ -40,15 +41,21 @@ def test_threads_share_the_work_and_give_the_same_bits(monkeypatch: pytest.Monke
     serial = optimized(None, options)
     used: set[int] = set()
     stack = SplineStack.evaluate_some
+    second = threading.Event()
 
     def watched(self: SplineStack, *arguments: Any) -> Any:
         used.add(threading.get_ident())
+        if len(used) > 1:
+            second.set()
+        if getattr(blocks._HERE, "in_block", False):
+            second.wait(30)  # the first thread leaves blocks to others, however slowly they wake
         return stack(self, *arguments)
 
     monkeypatch.setattr(SplineStack, "evaluate_some", watched)
     assert optimized(None, options, threads=3) == serial
     assert len(used) == 1, "five shapes are too few"
     monkeypatch.setattr("ssmpipe.core.correspondence.optimize.THREADS_FROM", 5)
+    monkeypatch.setattr("ssmpipe.core.spline.evaluate._POINTS_PER_BLOCK", 1)
     assert optimized(None, options, threads=3) == serial
     assert len(used) > 1
 

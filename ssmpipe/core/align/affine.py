@@ -36,14 +36,17 @@ def affine_to_mean(
     True
     """
     n_shapes, _, d = points.shape
-    centroids = np.einsum("l,ild->id", weights, points)
+    centroids = weights @ points
     centred = points - centroids[:, None]
-    covariance = np.einsum("l,ila,ilb->iab", weights, centred, centred)
+    covariance = np.swapaxes(centred, 1, 2) @ (weights[:, None] * centred)
+    beside = centred.transpose(1, 0, 2).reshape(
+        -1, n_shapes * d
+    )  # all shapes in one matrix: two products per iteration
     pull = ridge * np.trace(covariance, axis1=1, axis2=2)[:, None, None] / d * np.eye(d)
     linear = np.repeat(np.eye(d)[None], n_shapes, axis=0)
     for _ in range(n_iterations):
-        mean = np.einsum("iab,ilb->la", linear, centred) / n_shapes
-        cross = np.einsum("l,ila,lb->iab", weights, centred, mean)
+        mean = beside @ np.swapaxes(linear, 1, 2).reshape(-1, d) / n_shapes
+        cross = (beside.T @ (weights[:, None] * mean)).reshape(n_shapes, d, d)
         linear = np.swapaxes(np.linalg.solve(covariance + pull, cross + pull), 1, 2)
         linear = np.linalg.inv(linear.mean(axis=0)) @ linear
     offset = centroids.mean(axis=0) - np.einsum("iab,ib->ia", linear, centroids)
@@ -79,9 +82,9 @@ def affine_to_cohort(
     True
     """
     d = shape.shape[1]
-    centroid = np.einsum("l,ld->d", weights, normalized.mean(axis=0))
+    centroid = weights @ normalized.mean(axis=0)
     mean = normalized.mean(axis=0) - centroid
-    own = np.einsum("l,ild->id", weights, cohort)
+    own = weights @ cohort
     towards = np.linalg.inv(
         np.stack([_onto(s - c, mean, weights, ridge) for s, c in zip(cohort, own, strict=True)]).mean(axis=0)
     )
@@ -93,7 +96,7 @@ def affine_to_cohort(
 def _onto(centred: Floats, mean: Floats, weights: Floats, ridge: float) -> Floats:
     """Return the linear map of a centred shape to a centred mean."""
     d = centred.shape[1]
-    covariance = np.einsum("l,la,lb->ab", weights, centred, centred)
+    covariance = centred.T @ (weights[:, None] * centred)
     pull = ridge * np.trace(covariance) / d * np.eye(d)
-    cross = np.einsum("l,la,lb->ab", weights, centred, mean)
+    cross = centred.T @ (weights[:, None] * mean)
     return np.asarray(np.linalg.solve(covariance + pull, cross + pull).T)

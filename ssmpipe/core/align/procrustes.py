@@ -40,9 +40,14 @@ def rotation_between(source: Floats, target: Floats, weights: Floats) -> Floats:
     >>> bool(np.allclose(rotation_between(np.eye(3), np.eye(3) @ quarter.T, np.ones(3)), quarter))
     True
     """
-    u, _, vt = np.linalg.svd(target.T @ (weights[:, None] * source))
-    sign = np.sign(np.linalg.det(u @ vt))
-    return np.asarray(u @ np.diag([1.0] * (len(vt) - 1) + [sign]) @ vt)
+    return np.asarray(_nearest_rotations((target.T @ (weights[:, None] * source))[None])[0])
+
+
+def _nearest_rotations(cross: Floats) -> Floats:
+    """Return the proper rotations nearest to (n, d, d) matrices."""
+    u, _, vt = np.linalg.svd(cross)
+    u[:, :, -1] *= np.sign(np.linalg.det(u @ vt))[:, None]
+    return np.asarray(u @ vt)
 
 
 def generalized_procrustes(
@@ -66,17 +71,20 @@ def generalized_procrustes(
         The mean keeps the orientation and centroid of the input mean, so that shapes that are aligned already stay.
     """
     n_shapes = len(points)
-    centroids = np.einsum("l,ild->id", weights, points)
+    d = points.shape[2]
+    centroids = weights @ points
     centred = points - centroids[:, None]
-    sizes = np.sqrt(np.einsum("l,ild,ild->i", weights, centred, centred))
+    sizes = np.sqrt((centred**2).sum(axis=2) @ weights)
     scale = sizes.mean() / sizes if remove_size else np.ones(n_shapes)
     scaled = centred * scale[:, None, None]
-    rotation = np.repeat(np.eye(points.shape[2])[None], n_shapes, axis=0)
+    beside = scaled.transpose(1, 0, 2).reshape(-1, n_shapes * d)  # all shapes in one matrix: two products per iteration
+    rotation = np.repeat(np.eye(d)[None], n_shapes, axis=0)
     start = scaled.mean(axis=0)
     mean = start
     for _ in range(n_iterations):
-        updated = np.stack([rotation_between(shape, mean, weights) for shape in scaled])
-        mean = np.einsum("iab,ilb->la", updated, scaled) / n_shapes
+        cross = (weights[:, None] * mean).T @ beside
+        updated = _nearest_rotations(cross.reshape(d, n_shapes, d).transpose(1, 0, 2))
+        mean = beside @ np.swapaxes(updated, 1, 2).reshape(-1, d) / n_shapes
         back = rotation_between(mean, start, weights)
         mean = mean @ back.T
         updated = back @ updated

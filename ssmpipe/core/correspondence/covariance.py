@@ -94,7 +94,7 @@ class Spectrum:
 
 def landmarks_per_block(n_shapes: int) -> int:
     """Return how many landmarks of all shapes are worked on at once: few enough for the cache, many enough for numpy."""
-    return max(256, 16384 // n_shapes)
+    return max(256, 45_000 // n_shapes)
 
 
 def centred_spectrum(

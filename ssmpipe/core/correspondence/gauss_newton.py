@@ -27,7 +27,8 @@ FACTORED_UNKNOWNS = 1500
 _NODES_PER_SPAN = 3
 _RESIDUAL = 0.2
 _MOST_PRODUCTS = 60
-_SHAPES_PER_BLOCK = 4
+SHAPES_PER_BLOCK = 4
+"""Blocks of unknowns: their intermediate results are larger than the landmarks."""
 _PAIRS_PER_BLOCK = 8
 
 
@@ -113,7 +114,7 @@ def _by_factor(
             whole[i, :, i] = block
 
     map_blocks(coupled, len(rows), _PAIRS_PER_BLOCK, threads)
-    map_blocks(diagonal, m, _SHAPES_PER_BLOCK, threads)
+    map_blocks(diagonal, m, SHAPES_PER_BLOCK, threads)
     # the transpose is what LAPACK's order of memory makes of it: no copy; its lower half is our upper one
     factor, failed = potrf(whole.reshape(m * n, m * n).T, lower=1, clean=0, overwrite_a=1)
     if failed:
@@ -165,7 +166,7 @@ def _by_iteration(
         whole = _shifted(strength[part, None, None] * mean_data + mean_own)
         return np.asarray(np.linalg.inv(whole), dtype=np.float32)
 
-    inverses = np.concatenate(map_blocks(inverse, m, _SHAPES_PER_BLOCK, threads))
+    inverses = np.concatenate(map_blocks(inverse, m, SHAPES_PER_BLOCK, threads))
     modes = modes.astype(np.float32)
 
     moves = [(np.ascontiguousarray(np.swapaxes(t, 1, 2)) * np.sqrt(weights)).astype(np.float32) for t in tangents]

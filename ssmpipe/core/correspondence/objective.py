@@ -12,9 +12,10 @@ import numpy as np
 
 from ssmpipe.core.align.differentiable import align_to, align_to_adjoint
 from ssmpipe.core.arrays import Floats
-from ssmpipe.core.blocks import map_blocks
+from ssmpipe.core.blocks import map_blocks, side_by_side
 from ssmpipe.core.correspondence.barrier import Barrier
 from ssmpipe.core.correspondence.covariance import (
+    SlopeProduct,
     Spectrum,
     centred_spectrum,
     parameter_adjoint,
@@ -22,7 +23,7 @@ from ssmpipe.core.correspondence.covariance import (
     weight_adjoint,
 )
 from ssmpipe.core.correspondence.exact_rule import ExactRule
-from ssmpipe.core.correspondence.gauss_newton import gauss_newton_inverse
+from ssmpipe.core.correspondence.gauss_newton import SHAPES_PER_BLOCK, gauss_newton_inverse
 from ssmpipe.core.correspondence.guides import Guides
 from ssmpipe.core.correspondence.inequalities import Inequalities, LocalInequalities, centred_where_open
 from ssmpipe.core.correspondence.interpolation import Interpolation
@@ -33,7 +34,7 @@ from ssmpipe.core.correspondence.rows import RowSums
 from ssmpipe.core.correspondence.spectral import SpectralFunction
 from ssmpipe.core.covariance.formulation_two import size_weights, size_weights_adjoint
 from ssmpipe.core.errors import GeometryError
-from ssmpipe.core.spline.evaluate import SHAPES_PER_BLOCK, Jet, SplineStack
+from ssmpipe.core.spline.evaluate import Jet, SplineStack, shapes_per_block
 
 Covariance = Literal["discrete", "I", "II"]
 
@@ -228,7 +229,7 @@ class GroupObjective:
         def some(block: slice) -> None:
             self.stack.evaluate_some(block, space.evaluate(coefficients[block], self._parameters[block]), jet)
 
-        map_blocks(some, self.stack.n_shapes, SHAPES_PER_BLOCK, self.stack.threads)
+        map_blocks(some, self.stack.n_shapes, shapes_per_block(shape[2]), self.stack.threads)
         parameters = np.swapaxes(self._parameters, 1, 2)
         slopes: tuple[Floats, ...] = ()
         tangents: tuple[Floats, ...] = ()
@@ -295,21 +296,25 @@ class GroupObjective:
             self._along = key, self._walls_at(x).along(self._direction(direction))
         return self._along[1]
 
-    def spectral_gradient(self, x: Floats, beside: Callable[[slice], None] | None = None) -> tuple[float, Floats]:
+    def _slope_product(self, spectrum: Spectrum, beside: Callable[[], None] | None) -> SlopeProduct:
+        """Return the slope of the spectral function; ``beside`` is called meanwhile, on a thread of its own if there are two."""
+        if beside is None:
+            return spectrum.slope_product(self.spectral)
+        return side_by_side(lambda: spectrum.slope_product(self.spectral), beside, self.stack.threads)
+
+    def spectral_gradient(self, x: Floats, beside: Callable[[], None] | None = None) -> tuple[float, Floats]:
         """Return the spectral function and its gradient in the unknowns, by the adjoint [2.20].
 
-        ``beside`` is called with every block of shapes, on the thread that has it.
+        ``beside`` is called while the spectrum is decomposed, which one thread does alone.
         """
         if self.sums is not None:
-            if beside is not None:
-                beside(slice(0, self.stack.n_shapes))
             spectrum = self._spectrum(x)
-            pulled = self.sums.pull_back(self.coefficients(x), spectrum.slope_product(self.spectral))
+            pulled = self.sums.pull_back(self.coefficients(x), self._slope_product(spectrum, beside))
             return spectrum.value(self.spectral), pulled[self.moving][:, self._free].ravel()
         evaluation = self.evaluate(x)
         jet = evaluation.jet
         centred = evaluation.centred
-        slope_product = evaluation.spectrum.slope_product(self.spectral)
+        slope_product = self._slope_product(evaluation.spectrum, beside)
         moving = self.moving
         d_tangents: tuple[Floats, ...] = ()
         through: Floats | None = None
@@ -329,8 +334,6 @@ class GroupObjective:
                 each = zip(jet.points[block], evaluation.rotations[block], d_points, strict=True)
                 d_points = np.stack([align_to_adjoint(p, self.target, evaluation.weights, r, d) for p, r, d in each])
                 d_parameters[block] = np.stack([_dot(d_points, s[block]) for s in jet.first], axis=-1)
-            if beside is not None:
-                beside(block)
             if through is not None:
                 d_parameters[block] += through[block]
             d_slopes = tuple(
@@ -339,7 +342,7 @@ class GroupObjective:
             )
             return evaluation.space.pull_back(d_parameters[block], d_slopes)
 
-        threads = self.stack.threads
+        n_p, threads = jet.points.shape[1], self.stack.threads
         if self.target is None:
             parameter_adjoint(
                 centred,
@@ -350,7 +353,7 @@ class GroupObjective:
                 threads=threads,
                 evaluator=self.stack.evaluator,
             )
-        blocks = map_blocks(by_shapes, self.stack.n_shapes, SHAPES_PER_BLOCK, threads)
+        blocks = map_blocks(by_shapes, self.stack.n_shapes, shapes_per_block(n_p), threads)
         gradient = np.concatenate(blocks)[moving][:, self._free].ravel()
         return evaluation.spectrum.value(self.spectral), gradient
 
@@ -373,16 +376,18 @@ class GroupObjective:
         extra = np.zeros_like(moving)
         slope = self.constraint.slope(self.walls(x)) if self.barrier > 0 else extra
 
-        def penalties(block: slice) -> None:
-            some = slice(*np.searchsorted(self.moving, (block.start, block.stop)))
-            if self.barrier > 0 and some.start < some.stop:
-                extra[some] = self.barrier * self._walls_at(x).part(some).pull_back(slope[some])
+        def some(block: slice) -> None:
+            extra[block] = self.barrier * self._walls_at(x).part(block).pull_back(slope[block])
+
+        def penalties() -> None:
+            if self.barrier > 0:
+                map_blocks(some, len(moving), shapes_per_block(self.inequalities.n_jacobian))
 
         if self.other_gradient is None:
             value, gradient = self.spectral_gradient(x, penalties)
         else:
             value, gradient = self.spectral_value(x), self.other_gradient(self, x)
-            penalties(slice(0, self.stack.n_shapes))
+            penalties()
         if self.barrier > 0:
             value += self.barrier * penalty
         if self.prior > 0:

@@ -23,15 +23,13 @@ from ssmpipe.core.correspondence.reparameterization import Boundary, Reparameter
 from ssmpipe.core.correspondence.window import Window
 from ssmpipe.core.engine import Arrays, Content, Engine
 from ssmpipe.core.spline.curve import BSplineCurve
-from ssmpipe.core.spline.evaluate import SHAPES_PER_BLOCK, Jet, Spline, SplineStack
+from ssmpipe.core.spline.evaluate import Jet, Spline, SplineStack, shapes_per_block
 from ssmpipe.core.spline.surface import BSplineSurface
 
 MANY_SHAPES = 64
 """From so many shapes on the rows are parted by default; below, an iteration takes less time than it takes to ask others."""
 DEFAULT_BLOCKS = 4
 _REMEMBERED = 2
-_LANDMARKS_AT_ONCE = 10_000
-"""Of all shapes together; as many as four shapes have on the whole default grid."""
 Rows = tuple[int, int]
 SlopeProduct = Callable[[Floats], Floats]
 
@@ -62,11 +60,12 @@ class LandmarkRows:
     def __init__(self, stack: SplineStack, space: Reparameterization, weights: Floats) -> None:
         self.free = space.free
         self._stack = copy.copy(stack)  # work memory of its own
+        self._stack.threads = 1  # blocks are what threads share
         self._space = space
         self._weights = weights
         shape = (stack.n_shapes, space.n_directions, math.prod(space.grid))
         self._parameters, self._d_parameters = np.empty(shape), np.empty(shape)
-        self._shapes_at_once = max(SHAPES_PER_BLOCK, _LANDMARKS_AT_ONCE // shape[2])
+        self._shapes_at_once = shapes_per_block(shape[2])
         self._jet: Jet | None = None
         self._centred: Floats | None = None
         self._at = b""
@@ -80,9 +79,9 @@ class LandmarkRows:
         def some(block: slice) -> None:
             stack.evaluate_some(block, self._space.evaluate(coefficients[block], self._parameters[block]), jet)
 
-        map_blocks(some, stack.n_shapes, self._shapes_at_once, stack.threads)
+        map_blocks(some, stack.n_shapes, self._shapes_at_once)
         self._centred, spectrum = centred_spectrum(
-            jet.points, self._weights, threads=stack.threads, evaluator=stack.evaluator, out=self._centred
+            jet.points, self._weights, evaluator=stack.evaluator, out=self._centred
         )
         self._jet, self._at = jet, coefficients.tobytes()
         return spectrum.gram
@@ -100,16 +99,9 @@ class LandmarkRows:
             slope_product,
             self._jet.first,
             out,
-            threads=stack.threads,
             evaluator=stack.evaluator,
         )
-        parts = map_blocks(
-            lambda block: self._space.displacements_transposed(out[block]),
-            stack.n_shapes,
-            self._shapes_at_once,
-            stack.threads,
-        )
-        return np.concatenate(parts)
+        return self._space.displacements_transposed(out)
 
 
 class RowSums:
@@ -150,7 +142,7 @@ class RowSums:
     def gram(self, coefficients: Floats) -> Floats:
         """Return the (n_S, n_S) Gram matrix for (n_S, *n_b, d_par) coefficients."""
         if self._engine is None:
-            return _total([block.gram(coefficients) for block in self._here()])
+            return _total(self._shared(lambda block: block.gram(coefficients)))
         n = len(coefficients)
         lower = np.tril_indices(n)
         packed = self._there(self._engine, grams, (coefficients[:, self._space.free],))
@@ -163,11 +155,15 @@ class RowSums:
     def pull_back(self, coefficients: Floats, slope_product: SlopeProduct) -> Floats:
         """Return the derivative in the free coefficients of a function of the Gram matrix; see :meth:`Spectrum.slope_product`."""
         if self._engine is None:
-            return _total([block.pull_back(coefficients, slope_product) for block in self._here()])
+            return _total(self._shared(lambda block: block.pull_back(coefficients, slope_product)))
         out = np.zeros_like(coefficients)
         free = self._space.free
         out[:, free] = _total(self._there(self._engine, pull_backs, (coefficients[:, free], slope_product)))
         return out
+
+    def _shared(self, function: Callable[[LandmarkRows], Floats]) -> list[Floats]:
+        blocks = self._here()
+        return map_blocks(lambda one: function(blocks[one.start]), len(blocks), 1, self._stack.threads)
 
     def _here(self) -> list[LandmarkRows]:
         if self._blocks is None:

@@ -23,8 +23,20 @@ from ssmpipe.core.spline.surface import BSplineSurface
 
 Spline: TypeAlias = BSplineCurve | BSplineSurface
 Evaluator = Literal["auto", "numpy", "numba"]
-SHAPES_PER_BLOCK = 4
-"""Few enough for the cache and for threads to share, many enough for one call."""
+_POINTS_PER_BLOCK = 45_000
+"""Of all shapes of a block: a few milliseconds. Threads hand the interpreter lock over at every call of numpy, which costs as much as
+a small block."""
+
+
+def shapes_per_block(n_points: int) -> int:
+    """Return how many shapes with ``n_points`` points each are worked on at once.
+
+    Examples
+    --------
+    >>> shapes_per_block(51 * 51), shapes_per_block(201 * 201)
+    (17, 1)
+    """
+    return max(1, _POINTS_PER_BLOCK // n_points)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +188,7 @@ class SplineStack:
         map_blocks(
             lambda block: self.evaluate_some(block, parameters[block], jet),
             self.n_shapes,
-            SHAPES_PER_BLOCK,
+            shapes_per_block(parameters.shape[1]),
             self.threads,
         )
         return jet
