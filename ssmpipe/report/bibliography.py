@@ -30,6 +30,10 @@ REFERENCES = {
         "LNCS 2732:51–62, 2003.",
         "10.1007/978-3-540-45087-0_5",
     ),
+    "thodberg2003curvature": Reference(
+        "Thodberg HH, Olafsdottir H. Adding curvature to minimum description length shape models. British Machine Vision "
+        "Conference, 2003."
+    ),
     "styner2003": Reference(
         "Styner MA, Rajamani KT, Nolte LP, Zsemlye G, Székely G, Taylor CJ, Davies RH. Evaluation of 3D correspondence methods "
         "for model building. Information Processing in Medical Imaging, LNCS 2732:63–75, 2003.",

@@ -148,7 +148,7 @@ PRESETS: Mapping[str, Preset] = {
                 ("parameterize", {"topology": "tube"}),
                 ("sample", {}),
                 ("fit", {}),
-                ("optimize", {"n_coefficients": [12, 12], "landmarks": [51, 51], "covariance": "II"}),
+                ("optimize", {"n_coefficients": [12, 12], "landmarks": [51, 51], "covariance": "II", "prior": 0.1}),
                 *_GROUP[1:],
             ),
             diagonal_mm=(50.0, 600.0),

@@ -13,7 +13,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from ssmpipe.contract import Context, Landmarks, NamesShape, Port, Stage, StageConfig, Table
 from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.checkpoints import Checkpoints
-from ssmpipe.core.correspondence.choices import boundary_of, closes, rims_of, start_of
+from ssmpipe.core.correspondence.choices import boundary_of, closes, normals_of, rims_of, start_of
 from ssmpipe.core.correspondence.correspondence import Correspondence
 from ssmpipe.core.correspondence.optimize import EngineOptions, Optimum, optimize_correspondence
 from ssmpipe.core.correspondence.reparameterization import Boundary
@@ -92,6 +92,14 @@ class Config(StageConfig):
         Literal["description-length", "log-determinant", "trace"],
         Field(description="Function of the eigenvalues to minimize."),
     ] = _DEFAULT.objective
+    normals: Annotated[
+        float | Literal["auto"],
+        Field(
+            description="Weight of unit normals (curves: tangents) beside positions in the covariance, so that flanks and edges count "
+            "[radii of the sphere of equal area]; 0: positions alone, as in the thesis. auto: 0.7 for surfaces, 0 for curves and with "
+            "pose: each-evaluation."
+        ),
+    ] = "auto"
     lambda_cut: Annotated[
         float | Literal["auto"],
         Field(description="Variance below which a mode counts as noise [mm^2]; auto: (RMS radius / 1000)^2."),
@@ -199,6 +207,13 @@ class Config(StageConfig):
             raise ValueError("must be at least 1, or auto")
         return count
 
+    @field_validator("normals")
+    @classmethod
+    def _not_negative(cls, weight: float | str) -> float | str:
+        if not isinstance(weight, str) and not 0 <= weight <= 1e6:
+            raise ValueError("must be 0 or more, at most 1e6, or auto")
+        return weight
+
     @field_validator("n_coefficients")
     @classmethod
     def _enough_coefficients(cls, counts: tuple[int, ...], info: ValidationInfo) -> tuple[int, ...]:
@@ -267,6 +282,8 @@ def run(
     chosen["landmark_blocks"] = None if cfg.landmark_blocks == "auto" else cfg.landmark_blocks
     chosen["lambda_cut"] = None if cfg.lambda_cut == "auto" else cfg.lambda_cut
     topology = _topology(ids, splines)
+    dimension = splines[0].dimension
+    chosen["normals"] = normals_of(cfg.normals, topology=topology, dimension=dimension, pose=cfg.pose)
     chosen["boundary"] = _boundary(cfg.boundary, topology)
     chosen["open_edges"] = _rims(cfg, topology, splines)
     options = EngineOptions(**chosen, reference=_reference(cfg.reference, ids), start=_start(cfg, topology, splines))
@@ -578,7 +595,7 @@ def _poles(spline: Spline) -> list[dict[str, Any]]:
 STAGE = Stage(
     name="optimize",
     scope="cohort",
-    version=14,
+    version=15,
     config=Config,
     run=run,
     inputs=(Port("surface", "surface"), Port("transform", "transform"), Port("landmarks", "landmarks", optional=True)),
@@ -590,7 +607,7 @@ STAGE = Stage(
     ),
     methods="Correspondence was found by B-spline reparameterization of all shapes at once ({n_coefficients} coefficients each), "
     "minimizing the {objective} of the covariance of {landmarks} landmarks with adjoint gradients "
-    "(removed inside the objective: {normalize}); every "
+    "(removed inside the objective: {normalize}; weight of normals beside positions: {normals}); every "
     "reparameterization was proved to be a diffeomorphism by Bernstein bounds of its Jacobian.",
-    cites=("li2015", "thodberg2003", "davies2002"),
+    cites=("li2015", "thodberg2003", "davies2002", "thodberg2003curvature"),
 )

@@ -15,7 +15,7 @@ from ssmpipe import __version__
 from ssmpipe.contract import Table
 from ssmpipe.core.align.rigid import apply
 from ssmpipe.core.arrays import Bools, Floats
-from ssmpipe.core.correspondence.choices import boundary_of, closes, start_of
+from ssmpipe.core.correspondence.choices import boundary_of, closes, normals_of, start_of
 from ssmpipe.core.correspondence.newcomer import FixedCohort, Newcomer, bring_in
 from ssmpipe.core.correspondence.optimize import EngineOptions
 from ssmpipe.core.errors import ConfigError
@@ -144,7 +144,7 @@ def engine_options(model: ShapeModel, content: Mapping[str, Any]) -> EngineOptio
         name: tuple(value) if isinstance(value, list) else value
         for name, value in given.items()
         if name in EngineOptions.__dataclass_fields__
-        and name not in ("reference", "lambda_cut", "boundary", "start", "landmark_blocks")
+        and name not in ("reference", "lambda_cut", "boundary", "start", "landmark_blocks", "normals")
     }
     start = start_of(
         given.get("start", "identity"),
@@ -156,7 +156,15 @@ def engine_options(model: ShapeModel, content: Mapping[str, Any]) -> EngineOptio
         rims=given.get("rims", "kept"),
     )
     boundary = boundary_of(given.get("boundary", "auto"), model.topology)
-    return EngineOptions(**kept, boundary=boundary, lambda_cut=model.lambda_cut, start=start, window=model.window)
+    normals = normals_of(
+        given.get("normals", 0.0),
+        topology=model.topology,
+        dimension=model.mean.shape[1],
+        pose=str(kept.get("pose")),
+    )
+    return EngineOptions(
+        **kept, boundary=boundary, lambda_cut=model.lambda_cut, start=start, window=model.window, normals=normals
+    )
 
 
 def project_scans(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
+from ssmpipe.core.correspondence.normals import DEFAULT_NORMALS
 from ssmpipe.core.correspondence.reparameterization import Boundary
 
 
@@ -76,3 +77,19 @@ def rims_of(topology: str) -> tuple[tuple[int, int], ...]:
         "tube": ((1, 0), (1, -1)),
         "cone": ((1, 0),),
     }.get(topology, ())
+
+
+def normals_of(choice: float | Literal["auto"], *, topology: str, dimension: int, pose: str) -> float:
+    """Return the weight of the normals; ``auto`` is zero for curves, where they do not help, and where they are not implemented.
+
+    Examples
+    --------
+    >>> normals_of("auto", topology="cone", dimension=3, pose="refined")
+    0.7
+    >>> normals_of("auto", topology="curve-closed", dimension=2, pose="refined")
+    0.0
+    """
+    if choice != "auto":
+        return choice
+    surfaces = not topology.startswith("curve") and dimension == 3
+    return DEFAULT_NORMALS if surfaces and pose != "each-evaluation" else 0.0

@@ -18,6 +18,7 @@ from ssmpipe.core.correspondence.gauss_newton import gauss_newton_inverse
 from ssmpipe.core.correspondence.inequalities import Inequalities, centred_where_open
 from ssmpipe.core.correspondence.jacobian import JacobianForm, largest_feasible_step
 from ssmpipe.core.correspondence.measure import grid_size_weights, grid_tangents
+from ssmpipe.core.correspondence.normals import NormalFields, equivalent_radius, grid_normals
 from ssmpipe.core.correspondence.optimize import EngineOptions
 from ssmpipe.core.correspondence.prior import bending_matrix
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
@@ -204,8 +205,9 @@ class FixedCohort:
 
     Notes
     -----
-    Only points are needed, so nodes are those of the landmark grid: with covariance ``I`` and ``II`` the trapezoidal rule stands for the
-    quadrature of the group, and the weights of ``II`` are those of the mean of the fixed shapes.
+    Only points are needed; normals follow from them by differences. So nodes are those of the landmark grid: with covariance ``I``
+    and ``II`` the trapezoidal rule stands for the quadrature of the group, and the weights of ``II`` are those of the mean of the
+    fixed shapes.
 
     Raises
     ------
@@ -249,6 +251,13 @@ class FixedCohort:
             linear, offset = affine_to_mean(self._sized, self.pose_weights)
             self.fixed = self._sized @ np.swapaxes(linear, 1, 2) + offset[:, None]
         self.size = float(np.sqrt(((mean - mean.mean(axis=0)) ** 2).sum(axis=1).mean()))
+        self.normal_scale = 0.0
+        self.seen = self.fixed
+        if options.normals > 0:
+            radius = equivalent_radius([grid_normals(p, grid, periodic)[1] for p in points], len(grid))
+            self.normal_scale = options.normals * radius
+            normals = np.stack([grid_normals(p, grid, periodic)[0] for p in self.fixed])
+            self.seen = np.concatenate([self.fixed, self.normal_scale * normals], axis=2)
 
     def at_equal_size(self, points: Floats) -> tuple[Floats, Floats]:
         """Return the mean of the fixed shapes, and (n_P, d) posed points, of its size unless sizes count."""
@@ -333,6 +342,7 @@ def bring_in(spline: Spline, cohort: FixedCohort) -> Result[Newcomer]:
     coefficients = turned_identity(space, np.array([turn]))[0]
     if options.start == "affine" and space.n_directions == 2 and spline.dimension == 3:
         coefficients = _affine_start(stack, cohort, coefficients, turn)
+    fields = NormalFields(spline, space.periodic) if options.normals > 0 else None
     spectral = spectral_function(options.objective, float(options.lambda_cut or 0.0))
     constraint = Barrier(options.aggregate, options.floor, options.sharpness)
     moves_pose = options.pose in ("refined", "each-evaluation")
@@ -342,10 +352,11 @@ def bring_in(spline: Spline, cohort: FixedCohort) -> Result[Newcomer]:
     current = stack.evaluate(space.evaluate(coefficients[None])).points[0]
     linear, offset, scale = cohort.normalization(current @ rotation.T + translation)
     for _ in range(1 + rounds):
+        seen = _moved(spline, linear @ rotation, linear @ translation + offset)
         objective = NewcomerObjective(
-            _moved(spline, linear @ rotation, linear @ translation + offset),
+            fields.beside(seen, cohort.normal_scale) if fields is not None else seen,
             space,
-            cohort.fixed,
+            cohort.seen,
             cohort.weights,
             spectral,
             prior=options.prior,

@@ -93,11 +93,14 @@ class GroupObjective:
         which is the nearer to the eliminated one the larger it is.
     sums : RowSums, optional
         Evaluates Gram matrix and gradient in blocks of landmark rows, here or in other processes.
+    n_positions : int, optional
+        Leading components of the splines that are positions; all by default. The others, normals, have no size element.
 
     Raises
     ------
     GeometryError
-        For a target with formulation II, which is not implemented, or a rule with anything but formulation I and given poses.
+        For a target with formulation II or with normals, which is not implemented, or a rule with anything but formulation I and
+        given poses.
 
     Notes
     -----
@@ -124,8 +127,10 @@ class GroupObjective:
         rule: ExactRule | None = None,
         interpolate: bool = False,
         sums: RowSums | None = None,
+        n_positions: int | None = None,
     ) -> None:
         self.stack = stack
+        self._positions = slice(0, n_positions or stack.dimension)
         self.reparameterization = reparameterization
         self.spectral = spectral
         self.covariance = covariance
@@ -145,9 +150,10 @@ class GroupObjective:
                 "the closed form is that of covariance I, with poses kept inside an evaluation and a form of the Jacobian that bounds it",
                 "covariance: I, pose: refined and form: bezier",
             )
-        if target is not None and covariance == "II":
+        if target is not None and (covariance == "II" or self._positions.stop < stack.dimension):
             raise GeometryError(
-                "aligning inside each evaluation is implemented for covariance discrete and I", "use pose: refined"
+                "aligning inside each evaluation is implemented for covariance discrete and I, without normals",
+                "use pose: refined",
             )
         self.moving = np.array([i for i in range(stack.n_shapes) if i != reference])
         self.inequalities = Inequalities(reparameterization, form)
@@ -236,7 +242,10 @@ class GroupObjective:
         if second:
             slopes = space.slopes(coefficients)
             tangents = tuple(
-                sum(np.einsum("ild,il->ld", jet.first[c], slope[..., c]) for c in range(len(jet.first)))
+                sum(
+                    np.einsum("ild,il->ld", jet.first[c][..., self._positions], slope[..., c])
+                    for c in range(len(jet.first))
+                )
                 / self.stack.n_shapes
                 for slope in slopes
             )
@@ -337,7 +346,8 @@ class GroupObjective:
             if through is not None:
                 d_parameters[block] += through[block]
             d_slopes = tuple(
-                np.stack([np.einsum("ld,ild->il", d, s[block]) for s in jet.first], axis=-1) / self.stack.n_shapes
+                np.stack([np.einsum("ld,ild->il", d, s[block][..., self._positions]) for s in jet.first], axis=-1)
+                / self.stack.n_shapes
                 for d in d_tangents
             )
             return evaluation.space.pull_back(d_parameters[block], d_slopes)
@@ -364,7 +374,8 @@ class GroupObjective:
         for d_tangent, slope in zip(d_tangents, evaluation.slopes, strict=True):
             for c in range(n):
                 for e in range(n):
-                    out[..., c] += np.einsum("ld,ild->il", d_tangent, evaluation.jet.second[c + e]) * slope[..., e]
+                    bent = evaluation.jet.second[c + e][..., self._positions]
+                    out[..., c] += np.einsum("ld,ild->il", d_tangent, bent) * slope[..., e]
         return out / self.stack.n_shapes
 
     def value_and_gradient(self, x: Floats) -> tuple[float, Floats]:

@@ -25,6 +25,7 @@ from ssmpipe.core.correspondence.interpolation import Interpolation
 from ssmpipe.core.correspondence.jacobian import Jacobian, JacobianForm
 from ssmpipe.core.correspondence.journal import Journal
 from ssmpipe.core.correspondence.measure import Quadrature, grid_size_weights, landmark_rule
+from ssmpipe.core.correspondence.normals import NormalFields
 from ssmpipe.core.correspondence.objective import Covariance, GroupObjective
 from ssmpipe.core.correspondence.open_rims import Registered, register_reference
 from ssmpipe.core.correspondence.reparameterization import Boundary, Reparameterization
@@ -86,6 +87,9 @@ class EngineOptions:
         Where the landmarks of the objective lie; ``discrete`` always takes the grid. ``closed-form``: the integral itself, for
         curves and covariance ``I`` (:class:`ExactRule`).
     objective : {"description-length", "log-determinant", "trace"}
+    normals : float
+        Weight of unit normals (curves: tangents) beside positions [equivalent radii]; 0 is the objective of the thesis. See
+        :mod:`.normals`.
     lambda_cut : float or None
         Threshold of the description length [mm^2]; None for the rule of :func:`automatic_lambda_cut`.
     pose : {"refined", "procrustes", "keep", "each-evaluation"}
@@ -146,6 +150,7 @@ class EngineOptions:
     covariance: Covariance = "discrete"
     quadrature: Quadrature | Literal["closed-form"] = "midpoint"
     objective: Objective = "description-length"
+    normals: float = 0.0
     lambda_cut: float | None = None
     pose: Literal["refined", "procrustes", "keep", "each-evaluation"] = "refined"
     pose_rounds: int = 6
@@ -183,8 +188,9 @@ class Optimum:
     alignment : Alignment
         From the input frame to the refined pose.
     eigenvalues, eigenvalues_initial : (n_S - 1,)
-        Inside the objective [mm^2], both in the refined pose.
+        Inside the objective [mm^2], normals included, both in the refined pose.
     description_length : (before, after)
+        Of the same.
     lambda_cut : float
     reference : int
         -1 when all shapes move.
@@ -377,6 +383,8 @@ class _Cohort:
         self.lambda_cut = opts.lambda_cut if opts.lambda_cut is not None else automatic_lambda_cut(self.size)
         self.spectral = spectral_function(opts.objective, self.lambda_cut)
         self.constraint = Barrier(opts.aggregate, opts.floor, opts.sharpness)
+        self._fields = NormalFields(splines[0], self.output.periodic) if opts.normals > 0 else None
+        self._normal_scale = opts.normals * self._fields.radius(splines) if self._fields is not None else 0.0
         if opts.reference == "none":
             self.reference = -1
         elif opts.reference == "nearest-to-mean":
@@ -435,6 +443,9 @@ class _Cohort:
         if self.opts.pose == "each-evaluation" and coefficients is not None:
             target = self._normalized(self.raw.evaluate(space.evaluate(coefficients)).points).mean(axis=0)
         splines = [self._normalized_spline(i) for i in range(len(self.splines))]
+        n_positions = splines[0].dimension
+        if self._fields is not None:
+            splines = [self._fields.beside(spline, self._normal_scale) for spline in splines]
         stack = SplineStack(splines, space.periodic, threads=self.threads)
         weights = landmark_rule(space, self.opts.landmarks, self._quadrature())[1]
         n_blocks = self.opts.landmark_blocks or automatic_blocks(len(splines))
@@ -455,6 +466,7 @@ class _Cohort:
             rule=self._rule(space),
             interpolate=self.interpolating,
             sums=None if whole or n_blocks == 1 else RowSums(splines, stack, space, weights, n_blocks, self.engine),
+            n_positions=n_positions,
         )
 
     def descend(

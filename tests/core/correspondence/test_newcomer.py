@@ -19,13 +19,13 @@ OPTIONS = EngineOptions(n_coefficients=(6, 6), landmarks=(17, 17), barriers=(3.0
 
 
 @cache
-def finished():
+def finished(normals=0.0):
     splines = bumps(6)
-    return splines, optimize_correspondence(splines, OPTIONS).value
+    return splines, optimize_correspondence(splines, replace(OPTIONS, normals=normals)).value
 
 
 def cohort(**changes):
-    _, optimum = finished()
+    _, optimum = finished(changes.get("normals", 0.0))
     options = replace(OPTIONS, lambda_cut=optimum.lambda_cut, **changes)
     return FixedCohort(optimum.points, (17, 17), closes=False, options=options)
 
@@ -54,9 +54,10 @@ def rms(offsets):
     return float(np.sqrt((offsets**2).sum(axis=-1).mean()))
 
 
-def test_a_shape_of_the_cohort_comes_back_nearly_as_it_was():
-    splines, optimum = finished()
-    fixed = cohort()
+@pytest.mark.parametrize("normals", [0.0, 0.7])
+def test_a_shape_of_the_cohort_comes_back_nearly_as_it_was(normals):
+    splines, optimum = finished(normals)
+    fixed = cohort(normals=normals)
     for k, spline in enumerate(splines):
         found = bring_in(spline, fixed).value
         assert found.certificate.verdict == "proved"

@@ -3,6 +3,7 @@ import pytest
 
 from ssmpipe.core.correspondence.barrier import Barrier
 from ssmpipe.core.correspondence.measure import landmark_rule
+from ssmpipe.core.correspondence.normals import NormalFields
 from ssmpipe.core.correspondence.objective import GroupObjective
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
 from ssmpipe.core.correspondence.sensitivity import direct_gradient, finite_difference_gradient
@@ -35,12 +36,17 @@ def objective(
     spectral="description-length",
     curves=False,
     window=None,
+    normals=0.0,
     **options,
 ):
     n, grid = ((7,), (31,)) if curves else ((7, 6), (21, 23))
     space = Reparameterization(n, grid, boundary=boundary, window=window)
     nodes, base = landmark_rule(space, grid, "grid" if covariance == "discrete" else "gauss")
-    stack = SplineStack(CURVES if curves else bumps(5), space.periodic)
+    splines = CURVES if curves else bumps(5)
+    if normals:
+        fields = NormalFields(splines[0], space.periodic)
+        splines, options["n_positions"] = [fields.beside(s, normals) for s in splines], splines[0].dimension
+    stack = SplineStack(splines, space.periodic)
     function = spectral_function(spectral, 1e-3)
     return GroupObjective(
         stack, space.at(nodes), function, base_weights=base, covariance=covariance, reference=reference, **options
@@ -64,6 +70,38 @@ def test_gradient_is_exact(covariance, boundary, reference, curves):
         covariance, boundary, reference, curves=curves, prior=0.3, barrier=0.7, constraint=Barrier(floor=0.05)
     )
     assert check_gradient(f) > 1.8
+
+
+@pytest.mark.parametrize("covariance", ["discrete", "I", "II"])
+@pytest.mark.parametrize("boundary", ["fixed", "periodic"])
+@pytest.mark.parametrize("curves", [False, True])
+def test_gradient_with_normals_is_exact(covariance, boundary, curves):
+    f = objective(covariance, boundary, curves=curves, normals=0.5 if curves else 15.0, prior=0.3, barrier=0.7)
+    assert f.evaluate(f.start()).jet.points.shape[2] == (4 if curves else 6)
+    assert check_gradient(f) > 1.8
+
+
+def test_weights_of_the_mean_shape_are_those_of_positions_alone():
+    with_normals, without = objective("II", normals=15.0), objective("II")
+    x = without.start()
+    np.testing.assert_array_equal(with_normals.evaluate(x).weights, without.evaluate(x).weights)
+
+
+@pytest.mark.parametrize("reference", [1, -1])
+def test_hessian_product_with_normals(reference):
+    f = objective("I", reference=reference, normals=15.0, prior=0.3, barrier=0.7)
+    rng = np.random.default_rng(3)
+    x = f.start() + f._keep_gauge(0.01 * rng.normal(size=f.start().size))
+    direction = f._keep_gauge(rng.normal(size=x.size))
+    forward, back = (f.value_and_gradient(x + h * direction)[1] for h in (1e-7, -1e-7))
+    product = f.hessian(x)(direction)
+    np.testing.assert_allclose(product, (forward - back) / 2e-7, atol=1e-5 * np.abs(product).max())
+
+
+def test_direct_and_adjoint_agree_with_normals():
+    f = objective(normals=15.0, barrier=0)
+    x = f.start() + 0.01 * np.random.default_rng(9).normal(size=f.start().size)
+    np.testing.assert_allclose(direct_gradient(f, x), f.spectral_gradient(x)[1], rtol=1e-6, atol=1e-9)
 
 
 WINDOWS = [
