@@ -27,6 +27,7 @@ from make_femur_proximal import draw_lines, save  # noqa: E402
 from study_cohorts import expert_error, fitted, run_to_fit  # noqa: E402
 
 from ssmpipe.core.correspondence.choices import boundary_of, rims_of, start_of  # noqa: E402
+from ssmpipe.core.correspondence.normals import DEFAULT_NORMALS  # noqa: E402
 from ssmpipe.core.correspondence.optimize import EngineOptions, Optimum, optimize_correspondence  # noqa: E402
 from ssmpipe.core.mesh.distance import point_to_mesh  # noqa: E402
 from ssmpipe.core.mesh.grid import grid_faces  # noqa: E402
@@ -56,7 +57,11 @@ def optimized(splines: list[Spline], rims: str) -> Optimum:
         "auto", topology=topology, normalize="affine", guided=False, reference="nearest-to-mean", rims=rims
     )
     options = EngineOptions(
-        start=start, boundary=boundary_of("auto", topology), rims=rims, open_edges=rims_of(topology)
+        start=start,
+        boundary=boundary_of("auto", topology),
+        rims=rims,
+        open_edges=rims_of(topology),
+        normals=DEFAULT_NORMALS,
     )
     return optimize_correspondence(splines, options).value
 
