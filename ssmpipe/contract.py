@@ -143,12 +143,17 @@ class Table:
 
 @dataclass(frozen=True)
 class Port:
-    """A named input or output of a stage; ``volatile`` outputs hold timings and stay out of all digests."""
+    """A named input or output of a stage; ``volatile`` outputs hold timings and stay out of all digests.
+
+    ``columns`` of an ``info`` input are those of the cohort table that the stage reads, None for all: a change of another one
+    is nothing to it.
+    """
 
     slot: str
     kind: str
     optional: bool = False
     volatile: bool = False
+    columns: tuple[str, ...] | None = None
 
 
 @dataclass

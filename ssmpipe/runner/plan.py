@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from ssmpipe.contract import Port, Scope, Stage
@@ -30,11 +30,15 @@ class Step:
 
 @dataclass(frozen=True)
 class Producer:
-    """Who makes a slot: a step (or the scan itself), once per shape or once for the cohort."""
+    """Who makes a slot: a step (or the scan itself), once per shape or once for the cohort.
+
+    ``columns`` are those of the cohort table that are read of a scan's ``info``; None for all.
+    """
 
     step: str
     scope: Scope
     prepared: bool = False
+    columns: tuple[str, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -138,7 +142,7 @@ def make_plan(steps: Sequence[Step], source: Mapping[str, str]) -> Plan:
                 (maker, kind) = found[-1]
                 text = f"stage '{step.id}' reads '{port.slot}' as {port.kind}, but '{maker.step}' makes it as {kind}"
                 problems.append((step.id, text))
-            inputs[port.slot] = found[-1][0] if found else None
+            inputs[port.slot] = replace(found[-1][0], columns=port.columns) if found else None
             if found and found[-1][0].prepared:
                 maker_step = next(p for p in planned if p.id == found[-1][0].step)
                 files |= {port.slot: maker_step.files[port.slot]} if port.slot in maker_step.files else {}

@@ -81,14 +81,17 @@ class Source:
         """Slots that this source offers, with their kinds."""
         return KINDS[self.kind]
 
-    def digest(self, slot: str) -> str:
-        """Return the content digest of a slot; an unreadable file raises ArtifactError."""
+    def digest(self, slot: str, columns: Sequence[str] | None = None) -> str:
+        """Return the content digest of a slot, of ``info`` by these ``columns`` alone; an unreadable file raises ArtifactError."""
         factor = TO_MM[self.units]
         if slot == "transform":
             return digest(["unit", factor])
         if slot == "landmarks":
             return digest(["landmarks", dict(self.landmarks or {}), dict(self.roles), factor])
         if slot == "info":
+            if columns is not None:
+                read = {"side": self.side, **self.columns}
+                return digest(["info", self.id, {name: read.get(name) for name in columns}])
             return digest(["info", self.id, self.side, dict(self.columns)])
         try:
             state = self.path.stat()

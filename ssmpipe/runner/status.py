@@ -24,12 +24,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TaskStatus:
-    """State of a task: ``done``, ``stale``, ``failed`` or ``to do``; ``shape`` is "" for group tasks, "*" for preparations."""
+    """State of a task: ``done``, ``stale``, ``failed`` or ``to do``; ``shape`` is "" for group tasks, "*" for preparations.
+
+    Not ``certain``: it is stale only when a task before it gives something else than the last time.
+    """
 
     step: str
     shape: str
     state: str
     reason: str
+    certain: bool = True
 
 
 def status_of(project: Project) -> list[TaskStatus]:
@@ -37,9 +41,10 @@ def status_of(project: Project) -> list[TaskStatus]:
     workspace = make_workspace(project)
     failures = read_failures(project.out)
     everyone = sorted(project.sources)
-    ids = [i for i in everyone if i not in failures]
-    items = with_report(project, workspace, forecast(workspace, project.plan.steps, ids))
-    short = shortage(project.config, len(ids), len(everyone)) if len(ids) < len(everyone) else ""
+    number = {step.id: step.number for step in project.plan.steps}
+    stops = {i: number.get(failures[i].get("stage", ""), 0) for i in everyone if i in failures}
+    items = with_report(project, workspace, forecast(workspace, project.plan.steps, everyone, stops=stops))
+    short = shortage(project.config, len(everyone) - len(stops), len(everyone)) if stops else ""
     found = []
     for item in items:
         step = project.plan.step(item.step)
@@ -48,15 +53,20 @@ def status_of(project: Project) -> list[TaskStatus]:
         exists = workspace.manifest(folder) is not None
         state = "done" if not item.run else "stale" if exists else "to do"
         blocked = short and step.scope == "cohort" and state != "done"
-        found.append(TaskStatus(item.step, item.shape, state, f"blocked: {short}" if blocked else item.reason))
+        reason = f"blocked: {short}" if blocked else item.reason
+        found.append(TaskStatus(item.step, item.shape, state, reason, item.certain))
     for shape, failure in failures.items():
         if shape in project.sources or shape.startswith("("):
             key = shape if shape in project.sources else ""
             text = failure.get("error", "") + (f"; try: {failure['remedy']}" if failure.get("remedy") else "")
             found = [t for t in found if (t.step, t.shape) != (failure.get("stage"), key)]
             found.append(TaskStatus(failure.get("stage", ""), key, "failed", text))
-    order = {step.id: step.number for step in project.plan.steps}
-    return sorted(found, key=lambda t: (order.get(t.step, 0), t.shape != "*", t.shape))
+    for shape, stop in stops.items():
+        behind = [step for step in project.plan.steps if step.scope == "shape" and step.number > stop]
+        found += [
+            TaskStatus(s.id, shape, "to do", f"behind the failure in {failures[shape].get('stage')}") for s in behind
+        ]
+    return sorted(found, key=lambda t: (number.get(t.step, 0), t.shape != "*", t.shape))
 
 
 def print_status(tasks: Sequence[TaskStatus], project: Project, console: Console, *, as_json: bool = False) -> None:
@@ -70,17 +80,19 @@ def print_status(tasks: Sequence[TaskStatus], project: Project, console: Console
     from rich.table import Table as RichTable
 
     table = RichTable(title=f"{project.config.name}: {project.out}", title_justify="left")
-    for name in ("stage", "done", "stale", "to do", "failed", "why"):
+    for name in ("stage", "done", "stale", "maybe", "to do", "failed", "why"):
         table.add_column(name, justify="left" if name in ("stage", "why") else "right")
     for step in project.plan.steps:
         mine = [t for t in tasks if t.step == step.id]
         if not mine:
             continue
-        states = Counter(t.state for t in mine if t.shape != "*")
+        states = Counter(t.state if t.certain else "maybe" for t in mine if t.shape != "*")
         reasons = Counter(t.reason for t in mine if t.state in ("stale", "to do"))
         why = "; ".join(f"{reason} ({n})" if n > 1 else reason for reason, n in reasons.most_common(3))
-        table.add_row(step.id, *(str(states[s] or "-") for s in ("done", "stale", "to do", "failed")), why)
+        table.add_row(step.id, *(str(states[s] or "-") for s in ("done", "stale", "maybe", "to do", "failed")), why)
     console.table(table)
+    if any(not task.certain for task in tasks):
+        console.say("maybe: runs only when a stage before it gives something else than the last time")
     for task in tasks:
         if task.state == "failed":
             file = f", {project.sources[task.shape].path.name}" if task.shape in project.sources else ""
@@ -104,8 +116,10 @@ def print_forecast(items: Sequence[Forecast], project: Project, console: Console
             size = f" [{len(named)} shapes]" if len(named) > 1 else ""
             console.say(f"{'run ' if run else 'skip'} {name}{size}:{who}{' -' if named else ''} {reason}")
     tasks = [item for item in items if item.shape != "*"]
-    n_run = sum(item.run for item in tasks)
-    console.say(f"{count(n_run, 'task')} would run, {len(tasks) - n_run} up to date; nothing was touched")
+    n_run, n_maybe = (sum(item.run for item in tasks if item.certain is sure) for sure in (True, False))
+    maybe = f", {n_maybe} more if their input changes" if n_maybe else ""
+    current = len(tasks) - n_run - n_maybe
+    console.say(f"{count(n_run, 'task')} would run{maybe}, {current} up to date; nothing was touched")
 
 
 def rewrite_report(project: Project, jobs: int | None = None, console: Console | None = None) -> Path:

@@ -95,7 +95,7 @@ class Workspace:
             If it does not exist.
         """
         if producer.step == SCAN:
-            return self.sources[str(shape)].digest(slot)
+            return self.sources[str(shape)].digest(slot, producer.columns)
         if producer.step == CHAIN:
             return self._chain_digest()
         _, manifest = self.produced(producer, shape)
@@ -175,12 +175,16 @@ class Workspace:
 
 @dataclass(frozen=True)
 class Forecast:
-    """What would happen to a task if a run started now; ``shape`` is "" for group tasks and "*" for preparations."""
+    """What would happen to a task if a run started now; ``shape`` is "" for group tasks and "*" for preparations.
+
+    Not ``certain``: its own request is as before, but a task before it would run, and may give something else.
+    """
 
     step: str
     shape: str
     run: bool
     reason: str
+    certain: bool = True
 
 
 def forecast(
@@ -189,19 +193,22 @@ def forecast(
     ids: Sequence[str],
     forced: Iterable[str] = (),
     ready: Iterable[str] = (),
+    stops: Mapping[str, int] | None = None,
 ) -> list[Forecast]:
     """Say for every task whether it would run and why, without running anything.
 
     A task behind one that would run is foreseen to run as well ("input may change"); in the run itself it is spared when
-    the new input turns out to be the same. The preparations of the steps in ``ready`` count as done.
+    the new input turns out to be the same. The preparations of the steps in ``ready`` count as done. A shape in ``stops``
+    does not come through the step of that number: it takes part in what is before, and in the preparation of that step.
     """
-    done = set(ready)
+    done, ends = set(ready), stops or {}
     chosen, force = {step.id for step in selected}, set(forced)
     pending: set[tuple[str, str]] = set()
     found: list[Forecast] = []
 
     def judge(step: PlannedStep, key: str, members: Sequence[str], *, prepare: bool = False) -> None:
         shape = None if key in ("", "*") else key
+        certain = True
         waits = []
         for slot, producer in step.inputs.items():
             if producer is None or producer.step in (SCAN, CHAIN) or (prepare and producer.prepared):
@@ -224,7 +231,7 @@ def forecast(
             )
             decision = decide(old, request, folder, force=step.id in force)
             if not decision.run:
-                decision = Decision(True, f"input may change: {', '.join(waits)}")
+                certain, decision = False, Decision(True, f"input may change: {', '.join(waits)}")
         else:
             try:
                 decision = workspace.decision(step, shape, members, prepare=prepare, force=step.id in force)
@@ -232,18 +239,20 @@ def forecast(
                 decision = Decision(True, str(error))
         if decision.run:
             pending.add((step.id, key))
-        found.append(Forecast(step.id, key, decision.run, decision.reason))
+        found.append(Forecast(step.id, key, decision.run, decision.reason, certain))
 
     for step in workspace.plan.steps:
         if step.id not in chosen:
             continue
         if step.scope == "cohort":
-            judge(step, "", ids)
+            judge(step, "", [i for i in ids if i not in ends])
             continue
         if step.prepares and step.id not in done:
-            judge(step, "*", prepare_members(step, ids), prepare=True)
+            reached = [i for i in ids if step.number <= ends.get(i, step.number)]
+            judge(step, "*", prepare_members(step, reached), prepare=True)
         for shape in ids:
-            judge(step, shape, ids)
+            if step.number < ends.get(shape, step.number + 1):
+                judge(step, shape, ids)
     return found
 
 

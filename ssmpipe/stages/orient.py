@@ -116,7 +116,7 @@ STAGE = Stage(
         Port("mesh", "trimesh"),
         Port("landmarks", "landmarks", optional=True),
         Port("transform", "transform"),
-        Port("info", "info"),
+        Port("info", "info", columns=("side",)),
     ),
     outputs=(Port("mesh", "trimesh"), Port("landmarks", "landmarks"), Port("transform", "transform")),
     methods="Shapes were brought to one side (mirrored: {mirror}) and into a canonical frame ({frame}).",

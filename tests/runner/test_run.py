@@ -27,7 +27,7 @@ from ssmpipe.runner.manifest import read_manifest
 from ssmpipe.runner.patience import ClusterLostError
 from ssmpipe.runner.run import RunOptions, RunResult, dry_run, make_workspace, run_project
 from ssmpipe.runner.sources import check_landmarks
-from ssmpipe.runner.status import status_of
+from ssmpipe.runner.status import print_status, status_of
 from tests.support.toys import TOY, tetrahedron
 
 Load = Callable[..., Project]
@@ -549,9 +549,53 @@ def test_status(run: Run, project: Load, tmp_path: Path) -> None:
     run("stages.grow.refuse=[a]")
     found = states("stages.grow.refuse=[a]")
     assert found["grow", "a"] == "failed"
-    assert {s for k, s in found.items() if k != ("grow", "a")} == {"done"}
+    assert found["shift", "a"] == "to do"
+    assert {s for k, s in found.items() if k[1] != "a"} == {"done"}
     stale = states("stages.grow.refuse=[a]", "stages.total.weight=3")
     assert [k for k, s in stale.items() if s == "stale"] == [("total", "")]
+
+
+def test_status_counts_a_failed_shape_in_every_stage(
+    run: Run, project: Load, capsys: pytest.CaptureFixture[str]
+) -> None:
+    chain = ["grow", "shift", {"grow": {"id": "late", "refuse": ["d"]}}, "total"]
+    run(stages=chain)
+    one = project(stages=chain)
+    tasks = status_of(one)
+    states = {(t.step, t.shape): t.state for t in tasks}
+    assert (states["grow", "d"], states["shift", "*"], states["shift", "d"], states["late", "d"]) == (
+        *("done",) * 3,
+        "failed",
+    )
+    assert set(states.values()) == {"done", "failed"}
+    print_status(tasks, one, Console(0))
+    table = capsys.readouterr().out
+    rows = {row[0]: row[1:6] for line in table.splitlines() if (row := [c.strip() for c in line.split("│")[1:-1]])}
+    assert rows["grow"] == ["4", "-", "-", "-", "-"]
+    assert rows["late"] == ["3", "-", "-", "-", "1"]
+
+
+def test_a_column_that_no_stage_reads_makes_nothing_stale(run: Run, project: Load, tmp_path: Path) -> None:
+    def table(side: str, age: int) -> None:
+        (tmp_path / "cohort.csv").write_text(f"id,side,age\na,{side},{age}\nb,R,1\nc,R,1\nd,R,1\n")
+
+    chain = {"stages": [{"orient": {"frame": "none"}}, "shift", "total"], "input": {"cohort": "cohort.csv"}}
+    table("R", 1)
+    run(**chain)
+    table("R", 2)
+    assert {t.state for t in status_of(project(**chain))} == {"done"}
+    assert run(**chain).n_run == 0
+    table("L", 2)
+    tasks = {(t.step, t.shape): (t.state, t.certain) for t in status_of(project(**chain))}
+    assert tasks["orient", "a"] == ("stale", True)
+    assert tasks["shift", "a"] == ("stale", False)
+    assert tasks["orient", "b"] == ("done", True)
+    assert {t["reason"] for t in _ran(run(**chain), tmp_path)} >= {"input changed: info", "input changed: mesh"}
+
+
+def _ran(result: RunResult, tmp_path: Path) -> list[dict[str, Any]]:
+    assert result.exit_code == 0
+    return [t for t in entries(tmp_path / "out").values() if t["status"] == "done"]
 
 
 def test_new_shape_runs_alone_until_the_group(run: Run, scans: Path, project: Load) -> None:
