@@ -178,6 +178,8 @@ class Context:
         That a group stage may use; the result may not depend on their number.
     unit : str
         Of lengths, for texts: "mm", or "file units" where the config says ``units: none``.
+    joins : bool
+        Whether the shape joins a finished model, for advice: there is neither a config nor a cohort to change.
     """
 
     shape_id: str
@@ -190,6 +192,7 @@ class Context:
     engine: Engine | None = None
     threads: int = 1
     unit: str = "mm"
+    joins: bool = False
 
     def metric(self, name: str, value: Any) -> None:
         """Record a number (or short text, or list) for the manifest and the report."""

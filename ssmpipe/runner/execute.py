@@ -167,7 +167,7 @@ def run_task(
             ctx = Context(shape_id=shape or "", rng=make_rng(workspace.seed, shape, step.id), log=log)
             if progress is not None:
                 ctx.progress = progress
-            ctx.engine, ctx.threads, ctx.unit = engine, threads, workspace.unit
+            ctx.engine, ctx.threads, ctx.unit, ctx.joins = engine, threads, workspace.unit, workspace.joins
             if every is not None:
                 ctx.checkpoints = Checkpoints(saved.save, every, found.state)
             stage = workspace.registry.load(step.stage).suiting([s for s, p in step.inputs.items() if p is not None])

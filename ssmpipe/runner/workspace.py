@@ -35,6 +35,8 @@ class Workspace:
     registry : Registry
     scratch : Path
         Folder on the same disk for what is not finished.
+    joins : bool
+        Whether the shapes join a finished model, whose chain stays as it is.
     """
 
     out: Path
@@ -43,6 +45,7 @@ class Workspace:
     seed: int
     registry: Registry
     scratch: Path
+    joins: bool = False
     cache: dict[Path, Manifest | None] = field(default_factory=dict, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from ssmpipe.core.arrays import Floats
 from ssmpipe.core.errors import ConfigError, GeometryError
 from ssmpipe.core.outline.align import OutlineFit, align_outline, medoid_outline, mirror_outline, move_outline
 from ssmpipe.core.outline.outline import Outline, start_at
-from ssmpipe.stages._chirality import ChiralityConfig
+from ssmpipe.stages._chirality import ChiralityConfig, warn_of_both_images
 
 
 class Config(ChiralityConfig):
@@ -100,18 +100,15 @@ def _mirrored_wins(fit: OutlineFit, other: OutlineFit, cfg: Config, ctx: Context
     ctx.metric("other_image_rms_mm", other.rms)
     if cfg.chirality == "keep":
         if clear and other.rms < fit.rms:
-            ctx.warn(
-                f"the outline fits better mirrored (distance {other.rms:.3g} instead of {fit.rms:.3g}); if left and right are mixed, set "
-                "align.chirality: best-fit"
-            )
+            advice = "if left and right are mixed, set align.chirality: best-fit"
+            if ctx.joins:
+                advice = "if it shows the other side, mirror its file"
+            ctx.warn(f"the outline fits better mirrored (distance {other.rms:.3g} instead of {fit.rms:.3g}); {advice}")
         return False
     wins = other.rms < fit.rms
     ctx.metric("mirrored", wins)
     if not clear:
-        ctx.warn(
-            f"left and right fit almost alike (distance {best:.3g} and {worst:.3g}); it was {'' if wins else 'not '}mirrored: check the "
-            "picture"
-        )
+        warn_of_both_images(best, worst, wins, "check the picture", ctx)
     return wins
 
 

@@ -6,7 +6,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from ssmpipe.contract import StageConfig
+from ssmpipe.contract import Context, StageConfig
+
+OTHER_SIDE = "if it is of the other side, say --side (or the column side of --cohort), or mirror its file where the model mirrors no side"
+"""Advice about a shape that joins a finished model."""
 
 
 class ChiralityConfig(StageConfig):
@@ -34,3 +37,12 @@ class ChiralityConfig(StageConfig):
             "warns of the mirror image [-].",
         ),
     ] = 0.05
+
+
+def warn_of_both_images(best: float, worst: float, mirrored: bool, advice: str, ctx: Context) -> None:
+    """Warn that a shape and its mirror image fit almost alike; ``advice`` is for a shape of a cohort."""
+    if ctx.joins:
+        advice = "look at its page, its coefficients may be those of the mirror image"
+    ctx.warn(
+        f"left and right fit almost alike (distance {best:.3g} and {worst:.3g}); it was {'' if mirrored else 'not '}mirrored: {advice}"
+    )

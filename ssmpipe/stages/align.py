@@ -19,7 +19,7 @@ from ssmpipe.core.mesh.distance import surface_deviation
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.repair.decimation import decimate
 from ssmpipe.stages._align_outline import OUTLINE
-from ssmpipe.stages._chirality import ChiralityConfig
+from ssmpipe.stages._chirality import OTHER_SIDE, ChiralityConfig, warn_of_both_images
 
 GROUP_FACES = 60_000
 """Faces of the reference that `group` makes: the shapes are decimated to their shares of it [count]."""
@@ -145,7 +145,8 @@ def run(
         _warn_of_strangers(reference, result, ctx)
     if not result.converged:
         ctx.warn(
-            f"alignment stopped after {result.n_iterations} iterations before it settled; check the overlay in the report"
+            f"alignment stopped after {result.n_iterations} iterations before it settled; check "
+            f"{'its page' if ctx.joins else 'the overlay in the report'}"
         )
     turned = rotation_angle(result.matrix)
     if cfg.check_frame and result.start != "identity" and cfg.chirality == "keep" and turned > _TURNED_DEG:
@@ -165,9 +166,9 @@ def run(
         )
         ctx.metric("mirrored_cost_mm", mirrored)
         if better:
+            advice = OTHER_SIDE if ctx.joins else "look at the side column of the cohort table"
             ctx.warn(
-                f"the shape fits better mirrored (distance {mirrored:.3g} instead of {result.cost:.3g}): wrong side label? "
-                "look at the side column of the cohort table"
+                f"the shape fits better mirrored (distance {mirrored:.3g} instead of {result.cost:.3g}): wrong side label? {advice}"
             )
     return {"mesh": aligned, "landmarks": marks.transformed(result.matrix), "transform": result.matrix @ transform}
 
@@ -196,7 +197,7 @@ def _warn_of_strangers(reference: TriMesh, result: IcpResult, ctx: Context) -> N
     if share > _STRANGE_SHARE:
         ctx.warn(
             f"the shape does not resemble the reference: at equal size their distance is {100 * share:.0f} % of its radius; check that it "
-            "shows the same anatomy, and take it out of the cohort if not"
+            f"shows the same anatomy{'' if ctx.joins else ', and take it out of the cohort if not'}"
         )
 
 
@@ -218,10 +219,8 @@ def _better_image(
     ctx.metric("mirrored", mirrored)
     ctx.metric("other_image_cost_mm", worst)
     if best > (1.0 - cfg.chirality_margin) * worst or worst < fine:
-        ctx.warn(
-            f"left and right fit almost alike (distance {best:.3g} and {worst:.3g}); it was {'' if mirrored else 'not '}mirrored: "
-            "check the overlay, or give a column 'side' and set orient.mirror"
-        )
+        advice = "check the overlay, or give a column 'side' and set orient.mirror"
+        warn_of_both_images(best, worst, mirrored, advice, ctx)
     if not mirrored:
         return mesh, marks, transform, result
     flip = reflection(0)

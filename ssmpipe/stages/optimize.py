@@ -355,7 +355,7 @@ def _tell_of_rims(optimum: Optimum, ids: tuple[str, ...], cfg: Config, ctx: Cont
     if not optimum.rim_shifts.size:
         return
     shift = float(optimum.rim_shifts.mean())
-    ctx.metric("mean_rim_shift", shift)
+    ctx.metric("mean_rim_shift_percent", 100 * shift)
     if optimum.window is not None:
         ctx.metric("window", [list(optimum.window.low), list(optimum.window.high)])
         if optimum.lacking:

@@ -52,10 +52,10 @@ def run(
     marks = landmarks if landmarks is not None else Landmarks()
     mirrored = cfg.mirror != "none" and info.side == ("L" if cfg.mirror == "left" else "R")
     if cfg.mirror != "none" and info.side not in ("L", "R"):
-        ctx.warn(
-            f"the side of '{info.id}' is unknown, it is not mirrored; add a column 'side' (L or R) to the cohort table "
-            "(or say --side), or set orient.mirror to none"
-        )
+        advice = "add a column 'side' (L or R) to the cohort table (or say --side), or set orient.mirror to none"
+        if ctx.joins:
+            advice = "say --side L or --side R, or give a table with the columns id and side (--cohort)"
+        ctx.warn(f"the side of '{info.id}' is unknown, it is not mirrored; {advice}")
     matrix = reflection(0) if mirrored else np.eye(4)
     source = "none"
     if cfg.frame != "none":
@@ -70,8 +70,8 @@ def run(
             ctx.metric("overhang", frame.overhang)
             if frame.overhang < 0.1:
                 ctx.warn(
-                    "front and back of the condyles could not be told apart clearly; check the picture, or assign the roles "
-                    "lateral, medial and proximal to landmarks"
+                    f"front and back of the condyles could not be told apart clearly; check {'its page' if ctx.joins else 'the picture'}, "
+                    "or assign the roles lateral, medial and proximal to landmarks"
                 )
         ctx.metric("width_mm", frame.width)
         matrix = frame.matrix @ matrix

@@ -216,7 +216,8 @@ def _run(
     registry: Registry,
 ) -> ProjectResult:
     target = Target.of(model, content)
-    workspace = Workspace(out, plan, {s.id: s for s in sources}, int(content["seed"]), registry, out / SCRATCH)
+    by_shape = {source.id: source for source in sources}
+    workspace = Workspace(out, plan, by_shape, int(content["seed"]), registry, out / SCRATCH, joins=True)
     names = tuple(step.id for step in plan.steps)
     closing = Closing(STEP, partial(project_shape, target))
     if options.partial:
@@ -242,7 +243,7 @@ def _run(
             return
         row = read_json(patient_folder(out, str(job.shape)) / "projection.json")
         result.rows[str(job.shape)] = row
-        console.say(_line(row))
+        console.say(_line(row, target.unit))
 
     batch = Batch(
         jobs=min(options.jobs or default_jobs(), len(jobs)),
@@ -258,7 +259,7 @@ def _run(
     }
     with disk_errors():
         write_failures(out, failures)
-        write_table(out / "scores.csv", scores_table(result.rows, len(target.model.variances)))
+        write_table(out / "scores.csv", scores_table(result.rows, len(target.model.variances), target.unit))
         write_json(out / "project.json", _record(model, target, sources, result))
         shutil.rmtree(workspace.scratch, ignore_errors=True)
     result.exit_code = exit_code_of(result)
@@ -673,7 +674,7 @@ def _rms(offsets: Floats) -> float:
 # --- tables --------------------------------------------------------------------------------------------------------
 
 
-def scores_table(rows: Mapping[str, Mapping[str, Any]], n_modes: int) -> Table:
+def scores_table(rows: Mapping[str, Mapping[str, Any]], n_modes: int, unit: str = "mm") -> Table:
     """Return one row per patient: coefficients as in the ``scores.csv`` of a run, their uncertainty, distances."""
     ids = sorted(rows)
     columns: dict[str, list[Any]] = {"id": list(ids)}
@@ -693,19 +694,23 @@ def scores_table(rows: Mapping[str, Mapping[str, Any]], n_modes: int) -> Table:
         "modes and their sd in standard deviations of the model; _p: share of the training shapes, each in the model of the others, "
         "that lie as far out; to_scan: from the reconstruction to the scan, from_scan: back"
     )
+    if unit != "mm":
+        note += f"; columns whose names end in _mm are in {unit}"
     return Table(columns, note)
 
 
-def _line(row: Mapping[str, Any]) -> str:
+def _line(row: Mapping[str, Any], unit: str) -> str:
     text = f"{row['id']}: Mahalanobis {row['mahalanobis']:.2f} (p {row['mahalanobis_p']:.2g}), "
     if row["certificate"]["status"] == PARTIAL:
-        text += f"{100 * row['seen_share']:.0f} % seen, {row['from_scan_mean_mm']:.3g} mm from the fragment"
+        text += f"{100 * row['seen_share']:.0f} % seen, {row['from_scan_mean_mm']:.3g} {unit} from the fragment"
         expected = row.get("expected_error_mm")
-        text += f", missing part expected within {expected:.2g} mm" if expected is not None else ""
+        text += f", missing part expected within {expected:.2g} {unit}" if expected is not None else ""
         return text + (f", {count(row['holes_left'], 'hole')} left open" if row.get("holes_left") else "")
-    text += f"residual {row['residual_rms_mm']:.3g} mm"
+    text += f"residual {row['residual_rms_mm']:.3g} {unit}"
     if row.get("to_scan_mean_mm") is not None:
-        text += f", reconstruction {row['to_scan_mean_mm']:.3g} mm from the scan (95 %: {row['to_scan_p95_mm']:.3g})"
+        text += (
+            f", reconstruction {row['to_scan_mean_mm']:.3g} {unit} from the scan (95 %: {row['to_scan_p95_mm']:.3g})"
+        )
     return text + f", {row['certificate']['status']}"
 
 

@@ -15,8 +15,8 @@ from ssmpipe.stages import align
 from tests.support.meshes import random_motion
 
 
-def go(mesh, reference, marks=None, transform=None, **options):
-    ctx = Context("shape", np.random.default_rng(0), logging.getLogger("test"))
+def go(mesh, reference, marks=None, transform=None, joins=False, **options):
+    ctx = Context("shape", np.random.default_rng(0), logging.getLogger("test"), joins=joins)
     given = np.eye(4) if transform is None else transform
     return align.run(mesh, given, reference, marks, cfg=align.Config(n_points=2000, **options), ctx=ctx), ctx
 
@@ -42,6 +42,18 @@ def test_what_has_no_side_warns():
     _, ctx = go(move(sphere(10.0, 3), given), sphere(10.2, 3), None, given, chirality="best-fit")
     assert "left and right fit almost alike" in ctx.warnings[0]
     assert "orient.mirror" in ctx.warnings[0]
+
+
+def test_a_shape_that_joins_a_model_gets_advice_that_can_be_followed():
+    given = random_motion(np.random.default_rng(2))
+    round_ = go(move(sphere(10.0, 3), given), sphere(10.2, 3), None, given, joins=True, chirality="best-fit")[1]
+    lump = star_shape(3)
+    wrong = go(move(lump, reflection()), lump, joins=True)[1]
+    large = go(TriMesh(10.0 * lump.vertices, lump.faces), lump, joins=True)[1]
+    assert "look at its page" in round_.warnings[0]
+    assert any("say --side" in warning for warning in wrong.warnings)
+    told = " ".join([*round_.warnings, *wrong.warnings, *large.warnings])
+    assert not [word for word in ("orient.", "align.", "cohort table", "the cohort", "report") if word in told]
 
 
 def test_region_is_checked():

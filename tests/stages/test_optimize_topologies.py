@@ -150,7 +150,7 @@ def test_kept_rims_that_lie_apart_get_a_hint(monkeypatch):
     monkeypatch.setattr(optimize, "APART", 0.02)
     _, ctx = cut_tubes()
     assert any("use optimize.rims: free" in w and "t1" in w for w in ctx.warnings)
-    monkeypatch.setattr(optimize, "APART", 2 * ctx.metrics["mean_rim_shift"])
+    monkeypatch.setattr(optimize, "APART", 0.02 * ctx.metrics["mean_rim_shift_percent"])
     assert not cut_tubes()[1].warnings
 
 

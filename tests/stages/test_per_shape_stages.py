@@ -158,7 +158,12 @@ class TestOrient:
             options={"frame": "none"},
         )
         assert "side of 'a' is unknown" in ctx.warnings[0]
+        assert "orient.mirror" in ctx.warnings[0]
         assert outputs["transform"] == pytest.approx(np.eye(4))
+        ctx = Context("a", np.random.default_rng(0), logging.getLogger("test"), joins=True)
+        orient.run(star_shape(2), np.eye(4), ShapeInfo("a"), cfg=orient.Config(frame="none"), ctx=ctx)
+        assert "say --side L or --side R" in ctx.warnings[0]
+        assert "orient.mirror" not in ctx.warnings[0]
 
     def test_incomplete_roles_are_refused(self):
         marks = Landmarks({"E": np.zeros(3)}, {"lateral": "E"})

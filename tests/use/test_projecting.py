@@ -3,6 +3,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -12,9 +13,9 @@ import pytest
 
 from ssmpipe.core.correspondence.window import Window
 from ssmpipe.core.mesh.trimesh import TriMesh
-from ssmpipe.core.model.shape_model import ShapeModel
+from ssmpipe.core.model.shape_model import Chain, ShapeModel
 from ssmpipe.io.arrays import read_npz, write_npz
-from ssmpipe.io.models import read_model
+from ssmpipe.io.models import read_model, write_model
 from ssmpipe.use.projecting import Projection, engine_options
 from tests.support.eggs import model_of_eggs, ssmpipe, write_eggs
 from tests.support.small_run import grid_faces
@@ -31,7 +32,7 @@ def strangers(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def projected(result: Path, strangers: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def projected_text(result: Path, strangers: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """Two strangers, a shape of the cohort, and a file that is none."""
     scans = tmp_path_factory.mktemp("scans")
     for path in (strangers / "egg20.csv", strangers / "egg21.csv", result.parents[1] / "eggs" / "egg3.csv"):
@@ -41,7 +42,20 @@ def projected(result: Path, strangers: Path, tmp_path_factory: pytest.TempPathFa
     code, text = ssmpipe("project", result, *sorted(scans.glob("*.csv")), "-o", out)
     assert code == 3, text
     assert "3 projected, 1 failed" in text
-    return out
+    return out, text
+
+
+@pytest.fixture(scope="module")
+def projected(projected_text: tuple[Path, str]) -> Path:
+    return projected_text[0]
+
+
+def test_lengths_have_the_unit_of_the_config(projected_text: tuple[Path, str]) -> None:
+    out, text = projected_text
+    line = next(line for line in text.splitlines() if "egg20: Mahalanobis" in line)
+    assert " file units" in line
+    assert " mm" not in line
+    assert "names end in _mm are in file units" in (out / "scores.csv").read_text().splitlines()[0]
 
 
 def rows(folder: Path) -> dict[str, dict[str, str]]:
@@ -141,6 +155,17 @@ def test_every_patient_has_a_page(projected: Path) -> None:
     html = (projected / "egg20.html").read_text()
     assert f"{float(rows(projected)['egg20']['mahalanobis']):.3g}" in html
     assert "file units" in html
+
+
+def test_stages_give_advice_for_a_new_patient(result: Path, strangers: Path, tmp_path: Path) -> None:
+    model = read_model(result / "cohort/model/model.npz")
+    assert model.chain is not None
+    text = model.chain.text.replace('"chirality":"keep"', '"chirality":"best-fit"')
+    assert text != model.chain.text
+    write_model(tmp_path / "model.npz", replace(model, chain=Chain(text, model.chain.prepared)))
+    _, said = ssmpipe("project", tmp_path / "model.npz", strangers / "egg20.csv", "-o", tmp_path / "out")
+    assert "left and right fit almost alike" in said, "an egg has no side"
+    assert "look at its page" in said
 
 
 def test_what_cannot_be_projected_is_refused_before_any_work(result: Path, strangers: Path, tmp_path: Path) -> None:
