@@ -515,6 +515,10 @@ def _names(text: str | None) -> tuple[str, ...]:
 @click.option("-o", "--output", "out", type=PATH, required=True, metavar="DIR", help="Folder for all that is written.")
 @click.option("--by", metavar="COLUMN", help="Column of the cohort table that tells the groups.  [default: group]")
 @click.option(
+    "--cohort", type=PATH, metavar="FILE",
+    help="CSV table with id; its columns come in place of those of the same name that the run knew.  [default: what the run knew]",
+)  # fmt: skip
+@click.option(
     "--groups", metavar="A,B", help="Groups in the order wanted; second less first is shown.  [default: all, sorted]"
 )
 @click.option("--modes", type=_Modes(), default="auto", show_default=True, help="Modes that are tested together.")
@@ -542,6 +546,7 @@ def compare(
     result_b: Path | None,
     out: Path,
     by: str | None,
+    cohort: Path | None,
     groups: str | None,
     modes: int | None,
     permutations: int,
@@ -559,9 +564,8 @@ def compare(
         from ssmpipe.use.comparing import CompareOptions, compare_results
         from ssmpipe.use.groups import GroupOptions
 
-        made_of = GroupOptions(
-            by, _names(groups), paired or subject, _names(covariates), "--paired" if paired else "--subject"
-        )
+        option = "--paired" if paired else "--subject"
+        made_of = GroupOptions(by, _names(groups), paired or subject, _names(covariates), option, cohort)
         tests = Options(n_modes=modes, n_permutations=permutations, paired=paired is not None)
         for line in compare_results(result, result_b, out, CompareOptions(made_of, tests, seed, alpha)):
             click.echo(line)

@@ -26,6 +26,7 @@ from ssmpipe.io.meshes import write_mesh
 from ssmpipe.io.outlines import write_outline
 from ssmpipe.io.tables import write_table
 from ssmpipe.report.comparison import ComparisonPage, build_comparison, scores_png
+from ssmpipe.runner.fingerprint import file_digest
 from ssmpipe.use.groups import Cohort, GroupOptions, load_cohort
 
 WALK = (-3.0, -1.5, 0.0, 1.5, 3.0)
@@ -114,7 +115,7 @@ def what_to_know(cohort: Cohort, found: Comparison, options: CompareOptions) -> 
         notes.append(
             "Two results were matched after the fact: the mean of the second was moved rigidly onto the "
             "mean of the first, and the closest "
-            f"places on it carry its shapes. The means are {how.rms:.3g} mm apart (root mean square, at most "
+            f"places on it carry its shapes. The means are {how.rms:.3g} {cohort.unit} apart (root mean square, at most "
             f"{how.maximum:.3g}); matched places "
             f"lie {how.moved_rms:.3g} mm from the points of the same number. Where points lie along the "
             "surface differs between two runs for "
@@ -166,6 +167,14 @@ def what_to_know(cohort: Cohort, found: Comparison, options: CompareOptions) -> 
         )
     if cohort.left_out:
         notes.append(f"{len(cohort.left_out)} shapes have no group, or one that is not compared, and were left out.")
+    if cohort.strangers:
+        some = ", ".join(cohort.strangers[:3]) + (" ..." if len(cohort.strangers) > 3 else "")
+        rows = (
+            "1 row of the given table is"
+            if len(cohort.strangers) == 1
+            else f"{len(cohort.strangers)} rows of the given table are"
+        )
+        notes.append(f"{rows} no shape of the result ({some}).")
     return notes
 
 
@@ -354,6 +363,7 @@ def summary(cohort: Cohort, found: Comparison, options: CompareOptions, notes: S
     return {
         "ssmpipe_version": __version__,
         "by": cohort.by,
+        **_table_record(options.groups.cohort),
         "groups": [
             {"name": name, "n_shapes": int((sample.labels == g).sum()), "n_subjects": sample.subjects_of(g)}
             for g, name in enumerate(cohort.groups)
@@ -382,6 +392,10 @@ def summary(cohort: Cohort, found: Comparison, options: CompareOptions, notes: S
         "pairs": _records(pairs_table(cohort, found, options.alpha)),
         "notes": list(notes),
     }
+
+
+def _table_record(path: Path | None) -> dict[str, Any]:
+    return {} if path is None else {"cohort_table": {"file": path.name, "sha256": file_digest(path)}}
 
 
 def _records(table: Table) -> list[dict[str, Any]]:

@@ -40,6 +40,8 @@ class GroupOptions:
         Columns to take into account; ``size`` stands for the size of the shape itself.
     subject_option : str
         Option that names the column of the subjects, for messages.
+    cohort : Path, optional
+        Table whose columns come before those that the run knew; of one that both have, the run's is forgotten.
     """
 
     by: str | None = None
@@ -47,6 +49,7 @@ class GroupOptions:
     subject: str | None = None
     covariates: tuple[str, ...] = ()
     subject_option: str = "--subject"
+    cohort: Path | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +80,8 @@ class Cohort:
         Of two results.
     unit : str
         Of lengths: mm, or "file units" when the config of the run says ``units: none``.
+    strangers : tuple of str
+        Rows of the given table that are no shape of the result.
     """
 
     sample: Sample
@@ -91,6 +96,7 @@ class Cohort:
     model: ShapeModel
     matching: Matching | None = None
     unit: str = "mm"
+    strangers: tuple[str, ...] = ()
 
 
 def load_cohort(result: Path, other: Path | None, options: GroupOptions) -> Cohort:
@@ -104,7 +110,8 @@ def load_cohort(result: Path, other: Path | None, options: GroupOptions) -> Coho
         If a column or a group does not exist, a covariate is missing for a shape, or two results do not fit.
     """
     model = load_model(result)
-    columns = _columns(model)
+    table = None if options.cohort is None else read_cohort(options.cohort)
+    columns, known_ids = _columns(model, table), set(model.ids)
     points = shape_points(model.shape_model)
     matching = None
     if other is None:
@@ -115,6 +122,7 @@ def load_cohort(result: Path, other: Path | None, options: GroupOptions) -> Coho
         if options.by is not None:
             raise ConfigError("--by splits one result, but two were given", "give one result, or leave --by out")
         second = load_model(other)
+        known_ids |= set(second.ids)
         by = "result"
         names = _result_names(result, other, options.groups)
         matching = match_results(model.shape_model, points, second.shape_model, shape_points(second.shape_model))
@@ -125,7 +133,7 @@ def load_cohort(result: Path, other: Path | None, options: GroupOptions) -> Coho
             f"{name}/{key}" if key in twice else key
             for key, name in zip((*model.ids, *second.ids), values, strict=True)
         )
-        merged = [*(columns.get(k, {}) for k in model.ids), *(_columns(second).get(k, {}) for k in second.ids)]
+        merged = [*(columns.get(k, {}) for k in model.ids), *(_columns(second, table).get(k, {}) for k in second.ids)]
         columns = dict(zip(keys, merged, strict=True))
     chosen = np.array([value in names for value in values])
     ids = tuple(key for key, use in zip(keys, chosen, strict=True) if use)
@@ -148,18 +156,28 @@ def load_cohort(result: Path, other: Path | None, options: GroupOptions) -> Coho
     )
     left_out = tuple(key for key, use in zip(keys, chosen, strict=True) if not use)
     return Cohort(
-        sample, ids, names, subjects, by, known, left_out, size, named, model.shape_model, matching, _unit(model)
-    )
+        sample, ids, names, subjects, by, known, left_out, size, named, model.shape_model, matching, _unit(model),
+        tuple(sorted(set(table or {}) - known_ids)),
+    )  # fmt: skip
 
 
-def _columns(model: Model) -> dict[str, dict[str, str]]:
-    """Return the cohort table that a run has put beside the scores."""
+def _columns(model: Model, table: Mapping[str, Mapping[str, str]] | None) -> dict[str, dict[str, str]]:
+    """Return the cohort table that a run has put beside the scores, with the columns of ``table`` in place of its own."""
     path = model.path.with_name("scores.csv")
-    if not path.is_file():
-        return {}
-    rows = read_cohort(path)
-    return {
+    rows = read_cohort(path) if path.is_file() else {}
+    columns = {
         key: {name: cell for name, cell in row.items() if not name.startswith("mode_")} for key, row in rows.items()
+    }
+    if table is None:
+        return columns
+    if not any(key in table for key in model.ids):
+        raise ConfigError(
+            f"no shape of {model.path} has a row in the given table; it has {', '.join(list(table)[:3])}, the model {model.ids[0]}",
+            "write the ids of the run, file names without suffix, into its column id",
+        )
+    named = list(dict.fromkeys(name for row in table.values() for name in row if name != "path"))
+    return {
+        key: {**columns.get(key, {}), **{name: table.get(key, {}).get(name, "") for name in named}} for key in model.ids
     }
 
 
@@ -193,9 +211,10 @@ def _column(
         have = f"there are {', '.join(there)}" if there else f"no cohort table is beside {model.path.name}"
         raise ConfigError(
             f"there is no column '{name}' for {option}; {have}",
-            f"choose one of them with {option}, or add the column to the cohort table and `ssmpipe run` again"
+            f"choose one of them with {option}, give a table that has the column (--cohort FILE), "
+            "or add the column to the cohort table and `ssmpipe run` again"
             if there
-            else "set input.cohort in the config and run `model` again",
+            else "give one: --cohort FILE, or set input.cohort in the config and run `model` again",
         )
     return [columns.get(key, {}).get(name, "") for key in ids]
 

@@ -82,6 +82,36 @@ def test_repeated_measures_are_flagged_and_pairs_compared(tmp_path: Path) -> Non
     assert (row["n_subject_pairs"], row["n_rearrangements"]) == ("8", "256")
 
 
+def test_groups_of_another_table(result: Path, tmp_path: Path) -> None:
+    given = tmp_path / "other.csv"
+    rows = [f"p{i:02d},{'ab'[i % 2]},s{i}" for i in range(14)]
+    given.write_text("\n".join(["id,group,subject", *rows, "zz,a,s99"]) + "\n")
+    done = compare(result, "-o", tmp_path / "a", "--cohort", given, "--covariates", "age")
+    assert done.exit_code == 0, done.output
+    assert "b - a: modes together" in done.output
+    assert "1 row of the given table is no shape of the result (zz)" in done.output
+    said = json.loads((tmp_path / "a/compare.json").read_text())
+    assert said["left_out"] == ["p14", "p15"], "no row, no group, although the run knew one"
+    assert said["cohort_table"]["file"] == "other.csv"
+    assert [g["n_shapes"] for g in said["groups"]] == [7, 7]
+    assert said["covariates"] == ["age"], "what the table does not have is as the run knew it"
+    given.write_text("id,group\nq1,a\nq2,b\n")
+    refused = compare(result, "-o", tmp_path / "b", "--cohort", given)
+    assert refused.exit_code == 2
+    assert "no shape of" in refused.output
+    assert not (tmp_path / "b").exists()
+
+
+def test_a_table_for_two_results(tmp_path: Path) -> None:
+    points = grouped_points(n=24)
+    a, b = (write_groups(tmp_path / name, part, {}) for name, part in (("healthy", points[:12]), ("ill", points[12:])))
+    given = tmp_path / "ages.csv"
+    given.write_text("id,age\n" + "".join(f"p{i:02d},{40 + i}\n" for i in range(12)))
+    done = compare(a, b, "-o", tmp_path / "out", "--cohort", given, "--covariates", "age")
+    assert done.exit_code == 0, done.output
+    assert json.loads((tmp_path / "out/compare.json").read_text())["covariates"] == ["age"]
+
+
 def test_few_rearrangements_are_said(tmp_path: Path) -> None:
     run = write_groups(tmp_path / "run", grouped_points(n=6), {"group": ["a"] * 3 + ["b"] * 3})
     done = compare(run, "-o", tmp_path / "a", "--alpha", "0.01")
