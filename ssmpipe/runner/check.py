@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from ssmpipe.core.errors import SsmpipeError
+from ssmpipe.report.sides import unchecked_sides
 from ssmpipe.runner.batch import one_thread_environment, quiet_tracker, start_child
 from ssmpipe.runner.config import Project
 from ssmpipe.runner.disk import unwritable
@@ -19,6 +20,7 @@ from ssmpipe.runner.estimate import estimate_plan
 from ssmpipe.runner.execute import rehearse
 from ssmpipe.runner.plan import PlannedStep
 from ssmpipe.runner.presets import PRESETS
+from ssmpipe.runner.record import resolved_config
 from ssmpipe.runner.registry import Registry
 from ssmpipe.runner.run import default_jobs
 from ssmpipe.runner.sources import PLAUSIBLE_MM, TO_MM, Source, check_landmarks, check_size, landmark_distances
@@ -261,6 +263,9 @@ def print_checks(checks: Sequence[ScanCheck], project: Project, console: Console
     for c in checks:
         if c.error:
             console.error(f"refused: {c.id}, {c.file}: {c.error}")
+    note = unchecked_sides(resolved_config(project)["stages"], [c.side for c in checks], project.config.anatomy)
+    if note:
+        console.warn(note[0].lower() + note[1:])
     n_bad = sum(bool(c.error) for c in checks)
     console.say(f"config is valid; {len(checks) - n_bad} of {len(checks)} scans can be used")
     cost = (

@@ -151,6 +151,22 @@ def test_the_summary_says_the_numbers_of_the_tables() -> None:
     assert "6 of 7" in text
 
 
+def test_the_summary_says_that_sides_are_not_checked() -> None:
+    run = data()
+
+    def said(sides: str, **options: Any) -> str:
+        align = {"check_mirror": False, "chirality": "keep", **options}
+        config = {**run.record["config"], "stages": [{"align": align}]}
+        given = zip(run.shapes.items(), sides.ljust(len(run.shapes)), strict=True)
+        named = {i: {**shape, "info": {"side": side.strip()}} for (i, shape), side in given}
+        return summary.render(data(record={**run.record, "config": config, "shapes": named})).html
+
+    assert "Left and right are not checked" in said("")
+    assert "Left and right are mixed" in said("LRRRRRR")
+    for silent in (said("RRRRRRR"), said("", check_mirror=True), said("", chirality="best-fit")):
+        assert "Left and right are" not in silent
+
+
 def test_modes_needed_for_a_share_of_the_variance() -> None:
     model = dataclasses.replace(small_run().model, variances=np.array([8.0, 1.0, 0.5, 0.5]))
     assert [summary.modes_for(data(model=model), share) for share in (0.5, 0.8, 0.9, 0.95, 1.0)] == [1, 1, 2, 3, 4]

@@ -124,3 +124,19 @@ def test_the_cost_of_the_group_stages_is_said_where_there_is_an_optimize(
     assert "size [mm]" in text, "brackets are text, not markup"
     print_checks([replace(c, error="bad") for c in fine[:2]] + fine[2:], one, Console())
     assert "group stages" not in capsys.readouterr().out, "too few shapes are left"
+
+
+def test_a_preset_that_does_not_check_sides_says_so(
+    project: Load, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def said(*overrides: str, **changes: Any) -> str:
+        one = project(*overrides, stages=[], **changes)
+        print_checks([ScanCheck(i, f"{i}.ply", source.side) for i, source in one.sources.items()], one, Console(0))
+        printed = capsys.readouterr()
+        return " ".join((printed.out + printed.err).split())
+
+    (tmp_path / "cohort.csv").write_text("id,side\na,L\nb,L\nc,R\nd,R\n")
+    assert "left and right are not checked" in said(anatomy="disk")
+    assert "left and right are mixed (2 L, 2 R)" in said(anatomy="disk", input={"cohort": "cohort.csv"})
+    silent = said("stages.align.check_mirror=true", anatomy="disk"), said(anatomy="aorta"), said(anatomy="femur-distal")
+    assert not any("left and right are" in text for text in silent)

@@ -15,6 +15,7 @@ from ssmpipe.report.page import fill
 from ssmpipe.report.payload import in_space
 from ssmpipe.report.section import ReportData, Section, to_float
 from ssmpipe.report.sections.landmarks import OVERALL
+from ssmpipe.report.sides import unchecked_sides
 from ssmpipe.report.solid import good_view, picture, view_axes
 from ssmpipe.report.wording import change, count, number, percent
 
@@ -141,6 +142,8 @@ def render(data: ReportData) -> Section:
             f"Marked landmarks that are carried from shape to shape land {number(carried[1])} {data.unit} from the marked ones on average"
             + (f"; before optimization it was {number(carried[0])} {data.unit}." if math.isfinite(carried[0]) else ".")
         )
+    if note := _sides(data):
+        sentences.append(f"{note}.")
     if warned := _warnings(data):
         sentences.append(
             f"{count(warned, 'warning')} {'was' if warned == 1 else 'were'} given on the way, listed with the shapes."
@@ -183,6 +186,12 @@ def _warnings(data: ReportData) -> int:
     stages: list[Any] = [stage for shape in data.shapes.values() for stage in shape.get("stages") or ()]
     stages += data.record.get("cohort_stages") or ()
     return sum(len(stage.get("warnings") or ()) for stage in stages)
+
+
+def _sides(data: ReportData) -> str:
+    config = data.record.get("config") or {}
+    sides = [(shape.get("info") or {}).get("side") or None for shape in data.shapes.values()]
+    return unchecked_sides(config.get("stages") or (), sides, config.get("anatomy"))
 
 
 def _missing(data: ReportData) -> list[str]:
