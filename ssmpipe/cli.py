@@ -616,7 +616,9 @@ def project(
         )
         result = project_scans(load_model(model), scans, out, options, Console(-1 if quiet else 0))
         if not quiet:
-            click.echo(f"{len(result.rows)} projected, {len(result.failures)} failed; results are in {out}")
+            click.echo(
+                f"{len(result.rows)} projected, {len(result.failures)} failed; results are in {out}, see {out / 'index.html'}"
+            )
     sys.exit(result.exit_code)
 
 

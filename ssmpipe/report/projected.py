@@ -26,6 +26,8 @@ from ssmpipe.report.wording import count, number
 
 _BARS = 20
 _CELLS, _ENOUGH = 150, 20_000
+INDEX = "index.html"
+"""Name of the page that lists all patients, beside theirs."""
 WORDS = ("mean", "median", "p95", "max")
 
 
@@ -91,6 +93,7 @@ def build_projected(page: ProjectedPage) -> str:
         version=page.version,
         sections=[section for section in sections if section is not None],
         kind="Projected patient",
+        links=[(INDEX, "All patients of this call")],
     )
 
 
@@ -107,13 +110,13 @@ def _summary(page: ProjectedPage) -> Section:
     if told.get("residual_rms_mm") is not None:
         remark = f"what no instance reaches, root mean square; p {number(told['residual_p'], 2)}"
         tiles.append(Tile(f"{number(told['residual_rms_mm'])} {unit}", "residual", remark))
-    if _is_number(told.get("from_scan_mean_mm")):
+    if is_number(told.get("from_scan_mean_mm")):
         remark = f"95 % within {number(told['from_scan_p95_mm'])}, largest {number(told['from_scan_max_mm'])}"
         name = "fragment to the completed surface" if page.is_part else "scan to its reconstruction, mean"
         tiles.append(Tile(f"{number(told['from_scan_mean_mm'])} {unit}", name, remark))
     if page.is_part:
         tiles.append(Tile(f"{100 * told['seen_share']:.0f} %", "of the surface was seen"))
-        if _is_number(told.get("expected_error_mm")):
+        if is_number(told.get("expected_error_mm")):
             remark = "root mean square, from training shapes with the same part hidden"
             tiles.append(
                 Tile(f"{number(told['expected_error_mm'])} {unit}", "expected error of the missing part", remark)
@@ -129,7 +132,8 @@ def _summary(page: ProjectedPage) -> Section:
     return Section("summary", "Summary", html)
 
 
-def _is_number(value: Any) -> bool:
+def is_number(value: Any) -> bool:
+    """Whether a value of ``projection.json`` is there and finite."""
     return value is not None and bool(np.isfinite(value))
 
 
@@ -252,7 +256,7 @@ def _distances(page: ProjectedPage) -> Section | None:
             ("from the seen points to the fragment", "to_scan"),
         ]
     rows = [(title, [told.get(f"{key}_{word}_mm") for word in WORDS]) for title, key in blocks]
-    rows = [(title, values) for title, values in rows if all(_is_number(v) for v in values)]
+    rows = [(title, values) for title, values in rows if all(is_number(v) for v in values)]
     usual = float(np.median(page.residuals)) if len(page.residuals) else None
     if not rows:
         return None

@@ -36,7 +36,8 @@ from ssmpipe.io.mesh_formats import vtp
 from ssmpipe.io.meshes import MESH_SUFFIXES, write_mesh
 from ssmpipe.io.outlines import write_outline
 from ssmpipe.io.tables import read_cohort, write_table
-from ssmpipe.report.projected import ProjectedPage, build_projected
+from ssmpipe.report.projected import INDEX, ProjectedPage, build_projected
+from ssmpipe.report.projected_index import ProjectedIndex, build_index
 from ssmpipe.runner.batch import Batch, Closing, Failure, Job, Outcome
 from ssmpipe.runner.chain import chain_as_steps, optimize_options, read_content
 from ssmpipe.runner.console import Console
@@ -130,11 +131,12 @@ class Target:
 
 @dataclass
 class ProjectResult:
-    """What came out: exit code, rows of the table by id, failures."""
+    """What came out: exit code, rows of the table by id, failures, and by id what was warned of: stage and sentence."""
 
     exit_code: int
     rows: dict[str, dict[str, Any]] = field(default_factory=dict)
     failures: dict[str, Failure] = field(default_factory=dict)
+    warnings: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
 
 
 def engine_options(model: ShapeModel, content: Mapping[str, Any]) -> EngineOptions:
@@ -186,6 +188,10 @@ def project_scans(
     content = read_content(model.shape_model.chain, model.path.name)
     registry = Registry.default()
     sources, warnings = _sources(scans, content, options)
+    if any(page_path(out, source.id) == out / INDEX for source in sources):
+        raise ConfigError(
+            f"'{Path(INDEX).stem}' cannot be the id of a patient, {INDEX} lists them all", "rename the scan"
+        )
     kinds = sources[0].kinds
     if options.partial and (sources[0].kind != "mesh" or not len(model.shape_model.faces)):
         raise ConfigError("only surfaces can be completed", "leave out --partial and --fill")
@@ -241,6 +247,8 @@ def _run(
             result.failures[failure.shape] = failure
             console.error(f"failed: {failure.line}")
             return
+        told = [(record.step, text) for record in outcome.records for text in record.warnings]
+        result.warnings[str(job.shape)] = told
         row = read_json(patient_folder(out, str(job.shape)) / "projection.json")
         result.rows[str(job.shape)] = row
         console.say(_line(row, target.unit))
@@ -261,6 +269,7 @@ def _run(
         write_failures(out, failures)
         write_table(out / "scores.csv", scores_table(result.rows, len(target.model.variances), target.unit))
         write_json(out / "project.json", _record(model, target, sources, result))
+        write_atomically(out / INDEX, build_index(_index(out, target, sources, result, failures)))
         shutil.rmtree(workspace.scratch, ignore_errors=True)
     result.exit_code = exit_code_of(result)
     return result
@@ -712,6 +721,28 @@ def _line(row: Mapping[str, Any], unit: str) -> str:
             f", reconstruction {row['to_scan_mean_mm']:.3g} {unit} from the scan (95 %: {row['to_scan_p95_mm']:.3g})"
         )
     return text + f", {row['certificate']['status']}"
+
+
+def _index(
+    out: Path,
+    target: Target,
+    sources: Sequence[Source],
+    result: ProjectResult,
+    failures: Mapping[str, Mapping[str, str]],
+) -> ProjectedIndex:
+    return ProjectedIndex(
+        name=out.resolve().name,
+        unit=target.unit,
+        version=__version__,
+        model_name=target.name,
+        numbers=result.rows,
+        files={source.id: source.path.name for source in sources},
+        pages={i: page_path(out, i).name for i in result.rows if page_path(out, i).is_file()},
+        mahalanobis=target.others.mahalanobis,
+        residuals=_rms_each(target.others.residuals),
+        warnings=result.warnings,
+        failures=failures,
+    )
 
 
 def _record(model: Model, target: Target, sources: Sequence[Source], result: ProjectResult) -> dict[str, Any]:

@@ -9,6 +9,7 @@ import pytest
 
 from ssmpipe.core.evaluation.quality import Geometry
 from ssmpipe.report.projected import ProjectedPage, build_projected
+from ssmpipe.report.projected_index import ProjectedIndex, build_index
 from tests.support.small_run import planar_run, small_run
 
 RUN = small_run()
@@ -116,3 +117,55 @@ def test_text_from_outside_is_escaped(html: str) -> None:
     assert "<script>window" not in attacked
     assert "<img src=x" not in attacked
     assert attacked.count("<script") == html.count("<script")
+
+
+def index(**changes) -> ProjectedIndex:
+    near, far = numbers(5), {**numbers(5), "mahalanobis": 9.5, "mahalanobis_p": 1 / 7, "side": "L"}
+    made = ProjectedIndex(
+        name="patients", unit="mm", version="0.1.0", model_name="model.npz", numbers={"near": near, "far": far},
+        files={"near": "near.stl", "far": "far.stl", "bad": "bad.stl"}, pages={"far": "far.html"},
+        mahalanobis=np.array([1.5, 2.0, 2.5, 3.0, 3.5, 4.0]), residuals=np.full(6, 0.7), warnings={"far": [("repair", "2 pieces dropped")]},
+        failures={"bad": {"stage": "repair", "error": "no faces", "remedy": "export it again"}},
+    )  # fmt: skip
+    return replace(made, **changes)
+
+
+def test_the_list_names_the_most_unusual_first_and_what_failed() -> None:
+    html = build_index(index())
+    assert re.findall(r'<section id="([a-z]+)"', html) == ["summary", "patients"]
+    rows = [row.split("<td") for row in re.findall(r"<tr><th scope=\"row\">(.*?)</tr>", html, flags=re.DOTALL)]
+    assert [re.sub("<[^>]+>", "", row[0]) for row in rows] == ["far", "near"]
+    assert ('href="far.html"' in rows[0][0], "href" in rows[1][0]) == (True, False)
+    assert ("badge bad" in rows[0][3], "badge bad" in rows[1][3]) == (True, False)
+    text = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", html))
+    for words in (
+        "2 of 3",
+        "bad (bad.stl) stopped at repair : no faces",
+        "export it again",
+        "far , repair: 2 pieces dropped",
+    ):
+        assert words in text
+    assert "training shapes 2.75, at most 4.00" in text
+    assert "default-src &#39;none&#39;" in html
+    assert not re.findall(r"<[^>]+\s(?:style|on[a-z]+)=", html)
+
+
+def test_the_list_of_fragments_and_of_nothing() -> None:
+    html = build_index(index(numbers={"piece": part().numbers}, unit="file units"))
+    assert "seen [%]" in html
+    assert re.search(r"<td>63</td><td>1.50</td><td>0.500</td><td>2.50</td><td>1</td>", html)
+    assert "expected error [file units]" in html
+    assert "One-to-one" not in html
+    assert '<section id="patients"' not in build_index(index(numbers={}))
+
+
+def test_text_in_the_list_is_escaped() -> None:
+    numbers_ = {HOSTILE: {**numbers(5), "side": HOSTILE}}
+    failures = {HOSTILE + "x": {"stage": HOSTILE, "error": HOSTILE, "remedy": HOSTILE}}
+    attacked = build_index(
+        index(name=HOSTILE, model_name=HOSTILE, numbers=numbers_, files={HOSTILE + "x": HOSTILE}, failures=failures,
+              warnings={HOSTILE: [(HOSTILE, HOSTILE)]}, pages={HOSTILE: HOSTILE + ".html"})
+    )  # fmt: skip
+    assert "<script>window" not in attacked
+    assert "<img src=x" not in attacked
+    assert attacked.count("<script") == build_index(index()).count("<script")

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -151,10 +152,32 @@ def test_corresponded_points_lie_on_the_scan(strangers: Path, projected: Path) -
 
 
 def test_every_patient_has_a_page(projected: Path) -> None:
-    assert sorted(path.name for path in projected.glob("*.html")) == ["egg20.html", "egg21.html", "egg3.html"]
+    pages = ["egg20.html", "egg21.html", "egg3.html", "index.html"]
+    assert sorted(path.name for path in projected.glob("*.html")) == pages
     html = (projected / "egg20.html").read_text()
     assert f"{float(rows(projected)['egg20']['mahalanobis']):.3g}" in html
     assert "file units" in html
+
+
+def test_a_list_leads_to_every_patient(projected: Path) -> None:
+    html = (projected / "index.html").read_text()
+    told = rows(projected)
+    order = sorted(told, key=lambda i: -float(told[i]["mahalanobis"]))
+    assert re.findall(r'<th scope="row"><a href="([^"]*)">', html) == [f"{i}.html" for i in order]
+    for row in told.values():
+        assert f"<td>{float(row['residual_rms_mm']):.3g}" in html
+    assert "3 of 4" in html
+    assert re.search(r"<strong>broken</strong> \(broken.csv\) stopped at <em>contour</em>", html)
+    assert "[file units]" in html
+    assert 'href="index.html"' in (projected / "egg3.html").read_text()
+
+
+def test_a_patient_cannot_be_called_like_the_list(result: Path, strangers: Path, tmp_path: Path) -> None:
+    shutil.copy(strangers / "egg20.csv", tmp_path / "index.csv")
+    code, text = ssmpipe("project", result, tmp_path / "index.csv", "-o", tmp_path / "out")
+    assert code == 2
+    assert "'index' cannot be the id of a patient" in text
+    assert not (tmp_path / "out").exists()
 
 
 def test_stages_give_advice_for_a_new_patient(result: Path, strangers: Path, tmp_path: Path) -> None:
@@ -166,6 +189,10 @@ def test_stages_give_advice_for_a_new_patient(result: Path, strangers: Path, tmp
     _, said = ssmpipe("project", tmp_path / "model.npz", strangers / "egg20.csv", "-o", tmp_path / "out")
     assert "left and right fit almost alike" in said, "an egg has no side"
     assert "look at its page" in said
+    again = (tmp_path / "out/index.html").read_text()
+    assert re.search(r"<strong>egg20</strong>, align: left and right fit almost alike", again)
+    ssmpipe("project", tmp_path / "model.npz", strangers / "egg20.csv", "-o", tmp_path / "out")
+    assert (tmp_path / "out/index.html").read_text() == again, "stages that are up to date warn as before"
 
 
 def test_what_cannot_be_projected_is_refused_before_any_work(result: Path, strangers: Path, tmp_path: Path) -> None:
