@@ -22,6 +22,17 @@ def without_mm(text: str) -> str:
     return _MM.sub(FILE_UNITS, text)
 
 
+def unit_key(name: str) -> str:
+    """Return the name of a metric whose lengths have no unit.
+
+    Examples
+    --------
+    >>> [unit_key(name) for name in ("rms_mm", "area_mm2", "n_faces", "mm_total")]
+    ['rms_unit', 'area_unit2', 'n_faces', 'mm_total']
+    """
+    return _KEY.sub(r"_unit\1", name)
+
+
 def record_without_mm(record: Mapping[str, Any]) -> dict[str, Any]:
     """Return the record of a run with "mm" replaced in metrics, warnings, failures and methods; the config stays as it is.
 
@@ -52,7 +63,7 @@ def _text(value: Any) -> Any:
 def _stage(stage: Mapping[str, Any]) -> dict[str, Any]:
     made = dict(stage)
     if stage.get("metrics"):
-        made["metrics"] = {_KEY.sub(r"_unit\1", key): _text(value) for key, value in stage["metrics"].items()}
+        made["metrics"] = {unit_key(key): _text(value) for key, value in stage["metrics"].items()}
     if stage.get("warnings"):
         made["warnings"] = [_text(text) for text in stage["warnings"]]
     return made

@@ -12,7 +12,6 @@ import json
 import logging
 import os
 import platform
-import re
 import shutil
 import sys
 import tempfile
@@ -33,6 +32,7 @@ from ssmpipe.core.errors import SsmpipeError
 from ssmpipe.io.codecs import load_artifact, save_artifact, to_plain
 from ssmpipe.io.meshes import read_mesh
 from ssmpipe.io.outlines import read_outline
+from ssmpipe.report.units import unit_key
 from ssmpipe.runner.chain import read_chain
 from ssmpipe.runner.checkpoint import CheckpointFile, Found
 from ssmpipe.runner.disk import disk_errors, flush
@@ -95,7 +95,7 @@ def named_by_unit(metrics: dict[str, Any], unit: str) -> dict[str, Any]:
     >>> named_by_unit({"rms_mm": 1.5, "area_mm2": 2.0, "n_faces": 3}, "file units")
     {'rms_unit': 1.5, 'area_unit2': 2.0, 'n_faces': 3}
     """
-    return metrics if unit == "mm" else {re.sub(r"_mm([23]?)$", r"_unit\1", k): v for k, v in metrics.items()}
+    return metrics if unit == "mm" else {unit_key(name): value for name, value in metrics.items()}
 
 
 def run_task(
