@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -115,15 +115,38 @@ def without_folds(objective: GroupObjective, coefficients: Floats, turned: Float
     """Take every map back towards the turned identity, in steps of 15 %, until its Jacobian is clearly positive."""
     identity = objective.unknowns(turned).reshape(len(objective.moving), -1)
     towards = objective.unknowns(coefficients).reshape(identity.shape) - identity
-    share = np.ones(len(identity))
-    for _ in range(25):
-        x = identity + share[:, None] * towards
-        folded = objective.walls(x.ravel()).min(axis=1) < LEAST_JACOBIAN
+    x = taken_back(identity, towards, lambda x: objective.walls(x.ravel()).min(axis=1))
+    return objective.coefficients(x.ravel())
+
+
+def taken_back(start: Floats, way: Floats, least: Callable[[Floats], Floats], n_tries: int = 25) -> Floats:
+    """Return the places farthest on their ways, in steps of 15 %, where no map folds.
+
+    Parameters
+    ----------
+    start, way : (n, m) float64
+        A row per map.
+    least : function
+        Of (n, m) unknowns: the smallest Jacobian of every map, (n,).
+    n_tries : int
+        After which a map stays at its start.
+
+    Examples
+    --------
+    >>> taken_back(np.zeros((3, 1)), np.array([[0.5], [1.1], [99.0]]), lambda x: 1 - x[:, 0])
+    array([[0.5  ],
+           [0.935],
+           [0.   ]])
+    """
+    share = np.ones(len(start))
+    for _ in range(n_tries):
+        x = start + share[:, None] * way
+        folded = least(x) < LEAST_JACOBIAN
         if not folded.any():
-            return objective.coefficients(x.ravel())
+            return x
         share[folded] *= 0.85
     share[folded] = 0.0
-    return objective.coefficients((identity + share[:, None] * towards).ravel())
+    return np.asarray(start + share[:, None] * way)
 
 
 def _tangential(tangents: Floats, offset: Floats) -> Floats:

@@ -10,7 +10,7 @@ import numpy as np
 from ssmpipe.core.align.affine import affine_to_cohort, affine_to_mean
 from ssmpipe.core.align.procrustes import generalized_procrustes, rotation_between
 from ssmpipe.core.arrays import Floats
-from ssmpipe.core.correspondence.affine_start import LEAST_JACOBIAN, affine_start_onto, turned_identity
+from ssmpipe.core.correspondence.affine_start import affine_start_onto, taken_back, turned_identity
 from ssmpipe.core.correspondence.barrier import Barrier
 from ssmpipe.core.correspondence.certificate import Certificate, certify
 from ssmpipe.core.correspondence.covariance import Spectrum, centred_spectrum
@@ -418,13 +418,13 @@ def _affine_start(stack: SplineStack, cohort: FixedCohort, turned: Floats, turn:
     area = np.cross(tangents[0], tangents[1])
     found = affine_start_onto(stack, space, mean, area, turns=np.array([turn]))
     inequalities = Inequalities(space, cohort.options.form)
-    share = 1.0
-    while share > 0.01:
-        coefficients = turned + share * (found[0] - turned)
-        if inequalities.coefficients(coefficients[None]).min() > LEAST_JACOBIAN:
-            return coefficients
-        share *= 0.85
-    return turned
+    x = taken_back(
+        turned.reshape(1, -1),
+        (found[0] - turned).reshape(1, -1),
+        lambda x: inequalities.coefficients(x.reshape(1, *turned.shape)).min(axis=1),
+        n_tries=29,
+    )
+    return x.reshape(turned.shape)
 
 
 def _moved(spline: Spline, linear: Floats, offset: Floats) -> Spline:

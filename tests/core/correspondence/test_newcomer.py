@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 
 from ssmpipe.core.align.rigid import homogeneous, rotation_vector_matrix
+from ssmpipe.core.correspondence import newcomer
+from ssmpipe.core.correspondence.affine_start import LEAST_JACOBIAN, turned_identity
+from ssmpipe.core.correspondence.inequalities import Inequalities
 from ssmpipe.core.correspondence.newcomer import FixedCohort, NewcomerObjective, bring_in
 from ssmpipe.core.correspondence.optimize import EngineOptions, optimize_correspondence
 from ssmpipe.core.errors import GeometryError
@@ -119,6 +122,22 @@ def test_an_affine_start_begins_near_the_end_and_ends_no_worse():
     splines, optimum = finished()
     back = bring_in(splines[1], cohort(start="affine")).value
     assert rms(back.points - optimum.points[1]) < 0.25 * rms(back.initial_points - optimum.points[1])
+
+
+def test_an_affine_start_that_folds_is_taken_back_on_its_way(monkeypatch):
+    fixed = cohort(start="affine")
+    turned = turned_identity(fixed.space, np.zeros(1))[0]
+    way = 0.4 * np.random.default_rng(0).normal(size=turned.shape) * fixed.space.free
+    monkeypatch.setattr(newcomer, "affine_start_onto", lambda *_, **__: (turned + way)[None])
+    found = newcomer._affine_start(SplineStack([bumps(1, seed=9)[0]]), fixed, turned, 0.0)
+    share = float(np.linalg.norm(found - turned) / np.linalg.norm(way))
+    np.testing.assert_allclose(found, turned + share * way, atol=1e-12)
+    steps = np.log(share) / np.log(0.85)
+    assert steps == pytest.approx(round(steps), abs=1e-6)
+    assert 1 <= round(steps) < 29
+    walls = Inequalities(fixed.space, fixed.options.form)
+    near, far = (walls.coefficients((turned + s * way)[None]).min() for s in (share, share / 0.85))
+    assert near > LEAST_JACOBIAN > far
 
 
 @pytest.mark.parametrize("start", ["identity", "affine"])
