@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -72,10 +72,8 @@ def status_of(project: Project) -> list[TaskStatus]:
 def print_status(tasks: Sequence[TaskStatus], project: Project, console: Console, *, as_json: bool = False) -> None:
     """Print a table with a row per stage, or JSON with a row per task."""
     if as_json:
-        print(
-            json.dumps({"output": str(project.out), "tasks": [asdict(t) for t in tasks]}, indent=1, ensure_ascii=False),
-            flush=True,
-        )
+        rows = [{"step": t.step, "shape": t.shape, "state": t.state, "reason": t.reason} for t in tasks]
+        print(json.dumps({"output": str(project.out), "tasks": rows}, indent=1, ensure_ascii=False), flush=True)
         return
     from rich.table import Table as RichTable
 
