@@ -2,7 +2,7 @@
 
 The terms are those of the work: evaluation grows with ``n_S n_L`` (shapes, landmarks), the Gram products with ``n_S^2 n_L``, the
 preconditioner with ``n_S n_b^2`` (coefficients of one map), eigenvalues with ``n_S^3``. ``python -m benchmarks.group_cost`` prints
-the constants. Its sizes took 0.75 to 2.8 times the fitted time and 0.9 to 1.3 times the fitted memory, for how many iterations a
+the constants. Its sizes took 0.7 to 2.4 times the fitted time and 0.9 to 1.2 times the fitted memory, for how many iterations a
 cohort needs is not known before. Machines differ as well: expect a third to three times the time, half to twice the memory.
 """
 
@@ -15,12 +15,12 @@ from typing import Any
 
 from ssmpipe.runner.plan import Plan
 
-# printed by benchmarks/group_cost.py on 25 November 2026, 5 to 160 shapes; products and eigenvalues do not show at these sizes and
-# come from the section "Growth" of docs/engine_speed.md (1000 shapes, 100 iterations)
+# printed by benchmarks/group_cost.py on 25 November 2026, 5 to 160 shapes, normals included; products and eigenvalues do not show at
+# these sizes and come from the section "Growth" of docs/engine_speed.md (1000 shapes, 100 iterations; normals double the products)
 IDLE_MB = 98.0
-OPTIMIZE_S = (0.61, 3.0e-5, 1.6e-8, 8.5e-6, 2.0e-8)
+OPTIMIZE_S = (0.68, 3.4e-5, 3.2e-8, 4.4e-6, 2.0e-8)
 EVALUATE_S = (4.8e-3, 0.0, 2.6e-8, 2.5e-8)
-MEMORY_MB = (125.0, 3.5e-4, 5.0e-5)
+MEMORY_MB = (115.0, 6.0e-4, 9.0e-5)
 TIME_FACTOR = 3.0
 MEMORY_FACTOR = 2.0
 
