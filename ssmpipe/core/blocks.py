@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Callable
 from functools import cache
@@ -42,11 +43,10 @@ def map_blocks(function: Callable[[slice], T], n: int, size: int, threads: int =
     slices = [slice(n * k // count, n * (k + 1) // count) for k in range(count)]
     if threads <= 1 or count <= 1:
         return [function(s) for s in slices]
-    work = _Shared(function, slices)
+    shared = _Shared(function, slices)
     for inbox in _helpers(threads - 1)[: count - 1]:
-        inbox.put(work)
-    work.work()
-    return work.answers()
+        inbox.put(shared)
+    return shared.answers()
 
 
 class _Shared(Generic[T]):
@@ -55,35 +55,56 @@ class _Shared(Generic[T]):
     def __init__(self, function: Callable[[slice], T], slices: list[slice]) -> None:
         self._function, self._slices = function, slices
         self._lock = threading.Lock()
-        self._taken = 0
+        self._taken = self._helped = 0
         self._answers: dict[int, T] = {}
         self._failed: dict[int, BaseException] = {}
         self._finished: SimpleQueue[None] = SimpleQueue()
 
-    def work(self) -> None:
-        """Take blocks until none is left or one has failed."""
-        _HERE.in_block = True
-        while True:
-            with self._lock:
-                k = self._taken
-                if k == len(self._slices) or self._failed:
-                    break
-                self._taken += 1
+    def help(self) -> None:
+        """Take blocks on another thread than the caller's until none is left or one has failed."""
+        _HERE.in_block = True  # always, on a thread of ours
+        while (k := self._take(helps=1)) is not None:
             try:
                 self._answers[k] = self._function(self._slices[k])
             except BaseException as error:
                 self._failed[k] = error
             finally:
                 self._finished.put(None)
-        _HERE.in_block = False
 
     def answers(self) -> list[T]:
-        """Return the answers in order, when all blocks that were taken have ended; raises the first failure."""
-        for _ in range(self._taken):
-            self._finished.get()
+        """Take blocks, wait for those that helpers took, and return all answers in order.
+
+        What a block raises is raised when no block runs any more, and so is an interrupt: blocks write into memory that the next
+        call uses.
+        """
+        k: int | None = None
+        _HERE.in_block = True
+        try:
+            while (k := self._take()) is not None:
+                self._answers[k] = self._function(self._slices[k])
+        except BaseException as error:
+            self._failed.setdefault(-1 if k is None else k, error)
+        finally:
+            _HERE.in_block = False
+        with self._lock:
+            left = self._helped
+        while left:
+            try:
+                self._finished.get()
+                left -= 1
+            except BaseException as error:
+                self._failed.setdefault(-1, error)
         if self._failed:
             raise self._failed[min(self._failed)]
         return [self._answers[k] for k in range(len(self._slices))]
+
+    def _take(self, helps: int = 0) -> int | None:
+        with self._lock:
+            if self._taken == len(self._slices) or self._failed:
+                return None
+            self._taken += 1
+            self._helped += helps
+            return self._taken - 1
 
 
 def side_by_side(function: Callable[[], T], other: Callable[[], object], threads: int = 1) -> T:
@@ -114,6 +135,10 @@ def _helpers(n: int) -> list[SimpleQueue[_Shared[Any]]]:
     return inboxes
 
 
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_helpers.cache_clear)  # threads do not come along
+
+
 def _help(inbox: SimpleQueue[_Shared[Any]]) -> None:
     while True:
-        inbox.get().work()
+        inbox.get().help()

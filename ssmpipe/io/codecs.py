@@ -229,6 +229,8 @@ def _save_correspondence(slot: str, obj: Correspondence, folder: Path) -> list[s
     arrays["lambda_cut"] = np.array(obj.lambda_cut, dtype=np.float64)
     if obj.window is not None:
         arrays["window"] = np.array([obj.window.low, obj.window.high])
+    if obj.normals is not None:
+        arrays["normals"], arrays["normal_scale"] = obj.normals, np.array(obj.normal_scale)
     write_npz(folder / f"{slot}.npz", arrays)
     return [f"{slot}.npz"]
 
@@ -242,6 +244,8 @@ def _load_correspondence(paths: list[Path]) -> Correspondence:
         reference=int(arrays["reference"]),
         lambda_cut=float(arrays["lambda_cut"]),
         window=Window(*map(tuple, arrays["window"].tolist())) if "window" in arrays else None,
+        normals=arrays.get("normals"),
+        normal_scale=float(arrays.get("normal_scale", 0.0)),
         **{name: arrays[name] for name in _CORRESPONDENCE_ARRAYS},
     )
 

@@ -6,6 +6,7 @@ version   what changed
 1         no version number in the file; mean, modes, variances, scores, grid, faces, topology, ids
 2         ``format_version``; ``lambda_cut``; ``chain`` (JSON text) and what its steps had in common
 3         ``window``: (2, d_par) part of the domain that it covers where rims were free, else (0, 0)
+4         ``normals``: (n_S, n_P, d) of the training points, else (0, 0, 0); ``normal_scale`` [mm]
 ========  ==========================================================================================
 """
 
@@ -24,7 +25,7 @@ from ssmpipe.core.model.shape_model import Chain, ShapeModel
 from ssmpipe.core.outline.outline import Outline
 from ssmpipe.io.arrays import read_npz, write_npz
 
-FORMAT = 3
+FORMAT = 4
 """Version of the layout that is written."""
 _NUMBERS = ("mean", "modes", "variances", "scores", "faces")
 _PREPARED = "prepared/"
@@ -40,6 +41,8 @@ def write_model(path: Path, model: ShapeModel) -> None:
         "topology": np.array(model.topology),
         "lambda_cut": np.array(model.lambda_cut, dtype=np.float64),
         "window": np.array([model.window.low, model.window.high] if model.window is not None else np.empty((0, 0))),
+        "normals": np.empty((0, 0, 0)) if model.normals is None else model.normals,
+        "normal_scale": np.array(model.normal_scale, dtype=np.float64),
         "chain": np.array("" if model.chain is None else model.chain.text),
     }
     for name, common in sorted(model.chain.prepared.items()) if model.chain is not None else ():
@@ -68,7 +71,7 @@ def read_model(path: Path) -> ShapeModel:
         )
     for older in range(version, FORMAT):
         arrays = _UPGRADES[older](arrays)
-    wanted = ("ids", *_NUMBERS, "grid", "topology", "lambda_cut", "window", "chain")
+    wanted = ("ids", *_NUMBERS, "grid", "topology", "lambda_cut", "window", "normals", "normal_scale", "chain")
     missing = [name for name in wanted if name not in arrays]
     if missing:
         raise ArtifactError(f"{path.name} has no array {', '.join(missing)}", "build the model again")
@@ -78,6 +81,8 @@ def read_model(path: Path) -> ShapeModel:
         topology=str(arrays["topology"]),
         lambda_cut=float(arrays["lambda_cut"]),
         window=_window(arrays["window"], path.name),
+        normals=arrays["normals"] if arrays["normals"].size else None,
+        normal_scale=float(arrays["normal_scale"]),
         chain=_chain(arrays),
         **{name: arrays[name] for name in _NUMBERS},
     )
@@ -87,6 +92,8 @@ def read_model(path: Path) -> ShapeModel:
         and model.modes.shape == (n_modes, *model.mean.shape)
         and model.scores.shape == (n_shapes, n_modes)
         and int(np.prod(model.grid)) == len(model.mean)
+        and (model.normals is None or model.normals.shape == (n_shapes, *model.mean.shape))
+        and (model.normals is None or bool(np.isfinite(model.normals).all()))
         and all(np.isfinite(getattr(model, name)).all() for name in _NUMBERS)
     )
     if not fits:
@@ -129,5 +136,9 @@ def _from_2(arrays: dict[str, Any]) -> dict[str, Any]:
     return {**arrays, "window": np.empty((0, 0))}
 
 
-_UPGRADES: Mapping[int, Callable[[dict[str, Any]], dict[str, Any]]] = {1: _from_1, 2: _from_2}
+def _from_3(arrays: dict[str, Any]) -> dict[str, Any]:
+    return {**arrays, "normals": np.empty((0, 0, 0)), "normal_scale": np.array(0.0)}
+
+
+_UPGRADES: Mapping[int, Callable[[dict[str, Any]], dict[str, Any]]] = {1: _from_1, 2: _from_2, 3: _from_3}
 """From a version to the next one."""

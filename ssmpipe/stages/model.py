@@ -46,6 +46,8 @@ def run(
         topology=correspondence.topology,
         lambda_cut=correspondence.lambda_cut,
         window=correspondence.window,
+        normals=correspondence.normals,
+        normal_scale=correspondence.normal_scale,
         chain=chain,
     )
     ctx.metric("n_modes", len(variances))
@@ -81,7 +83,7 @@ def _drawn(model: ShapeModel, points: Floats) -> TriMesh | Outline:
 STAGE = Stage(
     name="model",
     scope="cohort",
-    version=3,  # format 3 of model.npz, with the window
+    version=4,  # format 4 of model.npz, with the normals
     config=Config,
     run=run,
     inputs=(

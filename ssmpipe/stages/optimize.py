@@ -96,8 +96,8 @@ class Config(StageConfig):
         float | Literal["auto"],
         Field(
             description="Weight of unit normals (curves: tangents) beside positions in the covariance, so that flanks and edges count "
-            "[radii of the sphere of equal area]; 0: positions alone, as in the thesis. auto: 0.7 for surfaces, 0 for curves and with "
-            "pose: each-evaluation."
+            "[how far shapes reach across their longest axis]; 0: positions alone, as in the thesis. auto: 0.8 for surfaces, 0 for curves "
+            "and with pose: each-evaluation."
         ),
     ] = "auto"
     lambda_cut: Annotated[
@@ -253,6 +253,14 @@ class Config(StageConfig):
         return self
 
     @model_validator(mode="after")
+    def _normals_are_there(self) -> Config:
+        if self.pose == "each-evaluation" and self.normals not in ("auto", 0):
+            raise ValueError(
+                f"optimize.normals is {self.normals}, but pose: each-evaluation has none: use pose: refined, or normals: 0"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _closed_form_exists(self) -> Config:
         if self.quadrature != "closed-form":
             return self
@@ -324,6 +332,8 @@ def run(
         ("reference", ids[optimum.reference] if optimum.reference >= 0 else "none"),
         ("boundary", options.boundary),
         ("topology", topology),
+        ("normals", options.normals),
+        ("normal_scale_mm", optimum.normal_scale),
     ):
         ctx.metric(name, value)
     if optimum.guide_residuals.size:
@@ -522,6 +532,8 @@ def _correspondence(
         eigenvalues=optimum.eigenvalues,
         coefficients=optimum.coefficients,
         window=optimum.window,
+        normals=stored(optimum.normals) if optimum.normals is not None else None,
+        normal_scale=optimum.normal_scale,
     )
 
 
@@ -607,7 +619,8 @@ STAGE = Stage(
     ),
     methods="Correspondence was found by B-spline reparameterization of all shapes at once ({n_coefficients} coefficients each), "
     "minimizing the {objective} of the covariance of {landmarks} landmarks with adjoint gradients "
-    "(removed inside the objective: {normalize}; weight of normals beside positions: {normals}); every "
+    "(removed inside the objective: {normalize}; weight of unit normals beside positions: {normals}, where auto is 0.8 for surfaces and "
+    "0 for curves); every "
     "reparameterization was proved to be a diffeomorphism by Bernstein bounds of its Jacobian.",
     cites=("li2015", "thodberg2003", "davies2002", "thodberg2003curvature"),
 )

@@ -15,7 +15,7 @@ from ssmpipe import __version__
 from ssmpipe.contract import Table
 from ssmpipe.core.align.rigid import apply
 from ssmpipe.core.arrays import Bools, Floats
-from ssmpipe.core.correspondence.choices import boundary_of, closes, normals_of, start_of
+from ssmpipe.core.correspondence.choices import boundary_of, closes, start_of
 from ssmpipe.core.correspondence.newcomer import FixedCohort, Newcomer, bring_in
 from ssmpipe.core.correspondence.optimize import EngineOptions
 from ssmpipe.core.errors import ConfigError
@@ -158,15 +158,7 @@ def engine_options(model: ShapeModel, content: Mapping[str, Any]) -> EngineOptio
         rims=given.get("rims", "kept"),
     )
     boundary = boundary_of(given.get("boundary", "auto"), model.topology)
-    normals = normals_of(
-        given.get("normals", 0.0),
-        topology=model.topology,
-        dimension=model.mean.shape[1],
-        pose=str(kept.get("pose")),
-    )
-    return EngineOptions(
-        **kept, boundary=boundary, lambda_cut=model.lambda_cut, start=start, window=model.window, normals=normals
-    )
+    return EngineOptions(**kept, boundary=boundary, lambda_cut=model.lambda_cut, start=start, window=model.window)
 
 
 def project_scans(
@@ -377,7 +369,14 @@ def project_shape(target: Target, workspace: Workspace, shape: str) -> list[str]
 
     spline, transform = artifact("surface"), artifact("transform")
     _check_topology(spline, model)
-    cohort = FixedCohort(model.training_points, model.grid, closes=closes(model.topology), options=target.options)
+    cohort = FixedCohort(
+        model.training_points,
+        model.grid,
+        closes=closes(model.topology),
+        options=target.options,
+        normals=model.normals,
+        normal_scale=model.normal_scale,
+    )
     found = bring_in(spline, cohort)
     new = found.value
     warnings = []

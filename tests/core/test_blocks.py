@@ -50,6 +50,25 @@ def test_no_block_runs_on_when_the_call_has_failed():
     assert done == [1]
 
 
+def test_an_interrupt_leaves_no_block_running_and_threads_usable():
+    running, go_on = threading.Event(), threading.Event()
+
+    def function(s):
+        if threading.current_thread() is threading.main_thread():
+            running.wait(30)
+            go_on.set()
+            raise KeyboardInterrupt
+        running.set()
+        go_on.wait(30)
+        done.append(s.start)
+
+    done = []
+    with pytest.raises(KeyboardInterrupt):
+        map_blocks(function, 6, 1, 2)
+    assert len(done) == 1
+    assert map_blocks(lambda s: s.stop, 2, 1, 2) == [1, 2]
+
+
 @pytest.mark.parametrize("threads", [1, 2])
 def test_side_by_side_returns_the_first_and_has_run_both(threads):
     seen = []

@@ -85,7 +85,7 @@ def normals_of(choice: float | Literal["auto"], *, topology: str, dimension: int
     Examples
     --------
     >>> normals_of("auto", topology="cone", dimension=3, pose="refined")
-    0.7
+    0.8
     >>> normals_of("auto", topology="curve-closed", dimension=2, pose="refined")
     0.0
     """

@@ -34,14 +34,18 @@ class Correspondence:
     reference : int
         Index of the reference shape, -1 when all shapes move.
     description_length : (2,)
-        Before and after, at the same ``lambda_cut``.
+        Before and after, at the same ``lambda_cut``; normals included.
     lambda_cut : float
     eigenvalues_initial, eigenvalues : (n_S - 1,)
-        Of the covariance inside the objective, decreasing.
+        Of the covariance inside the objective, normals included, decreasing.
     coefficients : (n_S, n_b1, n_b2, d_par)
         B-spline coefficients of ``D_i``.
     window : Window, optional
         Part of the parameter domain that the landmarks cover, where rims were free.
+    normals : (n_S, n_P, d), optional
+        Unit normals (curves: tangents) in the aligned frame, where they had a weight.
+    normal_scale : float
+        What they were multiplied with in the objective [mm].
     """
 
     ids: tuple[str, ...]
@@ -62,3 +66,5 @@ class Correspondence:
     eigenvalues: Floats
     coefficients: Floats
     window: Window | None = None
+    normals: Floats | None = None
+    normal_scale: float = 0.0

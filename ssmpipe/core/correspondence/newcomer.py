@@ -18,7 +18,7 @@ from ssmpipe.core.correspondence.gauss_newton import gauss_newton_inverse
 from ssmpipe.core.correspondence.inequalities import Inequalities, centred_where_open
 from ssmpipe.core.correspondence.jacobian import JacobianForm, largest_feasible_step
 from ssmpipe.core.correspondence.measure import grid_size_weights, grid_tangents
-from ssmpipe.core.correspondence.normals import NormalFields, equivalent_radius, grid_normals
+from ssmpipe.core.correspondence.normals import NormalFields, carried
 from ssmpipe.core.correspondence.optimize import EngineOptions
 from ssmpipe.core.correspondence.prior import bending_matrix
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
@@ -202,12 +202,15 @@ class FixedCohort:
         Whether the first direction closes over its ends.
     options : EngineOptions
         Of the group; the boundary mode resolved, the threshold given.
+    normals : (n_S, n_P, d) float64, optional
+        Unit normals of the points, where the group weighed them.
+    normal_scale : float
+        What the group multiplied them with [mm].
 
     Notes
     -----
-    Only points are needed; normals follow from them by differences. So nodes are those of the landmark grid: with covariance ``I``
-    and ``II`` the trapezoidal rule stands for the quadrature of the group, and the weights of ``II`` are those of the mean of the
-    fixed shapes.
+    Only points and normals are needed, so nodes are those of the landmark grid: with covariance ``I`` and ``II`` the trapezoidal rule
+    stands for the quadrature of the group, and the weights of ``II`` are those of the mean of the fixed shapes.
 
     Raises
     ------
@@ -215,7 +218,16 @@ class FixedCohort:
         If there are fewer than two shapes, or the threshold is not known.
     """
 
-    def __init__(self, points: Floats, grid: tuple[int, ...], *, closes: bool, options: EngineOptions) -> None:
+    def __init__(
+        self,
+        points: Floats,
+        grid: tuple[int, ...],
+        *,
+        closes: bool,
+        options: EngineOptions,
+        normals: Floats | None = None,
+        normal_scale: float = 0.0,
+    ) -> None:
         if len(points) < 2:
             raise GeometryError(f"a correspondence of {len(points)} shape cannot take another one, two are needed")
         if options.lambda_cut is None or not np.isfinite(options.lambda_cut):
@@ -250,14 +262,12 @@ class FixedCohort:
         if options.normalize == "affine":
             linear, offset = affine_to_mean(self._sized, self.pose_weights)
             self.fixed = self._sized @ np.swapaxes(linear, 1, 2) + offset[:, None]
-        self.size = float(np.sqrt(((mean - mean.mean(axis=0)) ** 2).sum(axis=1).mean()))
-        self.normal_scale = 0.0
+            normals = carried(normals, linear) if normals is not None else None
+        self.normal_scale = normal_scale if normals is not None else 0.0
         self.seen = self.fixed
-        if options.normals > 0:
-            radius = equivalent_radius([grid_normals(p, grid, periodic)[1] for p in points], len(grid))
-            self.normal_scale = options.normals * radius
-            normals = np.stack([grid_normals(p, grid, periodic)[0] for p in self.fixed])
-            self.seen = np.concatenate([self.fixed, self.normal_scale * normals], axis=2)
+        if normals is not None:
+            self.seen = np.concatenate([self.fixed, normal_scale * normals], axis=2)
+        self.size = float(np.sqrt(((mean - mean.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
     def at_equal_size(self, points: Floats) -> tuple[Floats, Floats]:
         """Return the mean of the fixed shapes, and (n_P, d) posed points, of its size unless sizes count."""
@@ -342,7 +352,7 @@ def bring_in(spline: Spline, cohort: FixedCohort) -> Result[Newcomer]:
     coefficients = turned_identity(space, np.array([turn]))[0]
     if options.start == "affine" and space.n_directions == 2 and spline.dimension == 3:
         coefficients = _affine_start(stack, cohort, coefficients, turn)
-    fields = NormalFields(spline, space.periodic) if options.normals > 0 else None
+    fields = NormalFields(spline, space.periodic) if cohort.normal_scale > 0 else None
     spectral = spectral_function(options.objective, float(options.lambda_cut or 0.0))
     constraint = Barrier(options.aggregate, options.floor, options.sharpness)
     moves_pose = options.pose in ("refined", "each-evaluation")

@@ -12,18 +12,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from ssmpipe.core.arrays import Floats
-from ssmpipe.core.correspondence.measure import grid_tangents
 from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.spline.basis import design_matrix, gauss_rule, periodic_design_matrix
 from ssmpipe.core.spline.curve import BSplineCurve
-from ssmpipe.core.spline.evaluate import Spline, SplineStack
+from ssmpipe.core.spline.evaluate import Jet, Spline, SplineStack
 from ssmpipe.core.spline.knots import breakpoints
 from ssmpipe.core.spline.periodic import clamped_control
 from ssmpipe.core.spline.surface import BSplineSurface
 
-DEFAULT_NORMALS = 0.7
-"""What a unit of the normals weighs [equivalent radii]; see docs/normals.md."""
-_NODES_PER_SPAN = 2
+DEFAULT_NORMALS = 0.8
+"""What a unit of the normals weighs [spreads]; see docs/normals.md."""
 _DEGENERATE = 1e-9
 
 
@@ -35,7 +33,7 @@ class NormalFields:
     like : BSplineCurve or BSplineSurface
         One of the splines; surfaces in three dimensions.
     periodic : tuple of bool
-        Directions that close: fields close there, too.
+        Directions that close: fields close there, too, if knots are equally spaced.
 
     Raises
     ------
@@ -49,8 +47,8 @@ class NormalFields:
     >>> fields = NormalFields(flat, (False, False))
     >>> np.round(fields.beside(flat, 3.0).control_points[0, 0], 6) + 0.0
     array([0., 0., 0., 0., 0., 3.])
-    >>> round(fields.radius([flat]) ** 2 * 4 * np.pi, 6)
-    4.0
+    >>> round(fields.spread([flat]) ** 2, 6)
+    0.5
     """
 
     def __init__(self, like: Spline, periodic: tuple[bool, ...]) -> None:
@@ -60,10 +58,10 @@ class NormalFields:
         nodes, weights, self._fit = [], [], []
         for knots, degree, closes in zip(like.knot_vectors, like.degrees, periodic, strict=True):
             ends = breakpoints(knots)
-            u, w = gauss_rule(ends, _NODES_PER_SPAN)
+            n_spans = len(ends) - 1
+            u, w = gauss_rule(ends, max(2, -(-(n_spans + degree) // n_spans)))
             nodes.append(u)
             weights.append(w)
-            n_spans = len(ends) - 1
             if closes and np.allclose(np.diff(ends), 1.0 / n_spans) and len(knots) == n_spans + 2 * degree + 1:
                 closed = np.linalg.pinv(periodic_design_matrix(u, n_spans, degree))
                 self._fit.append(clamped_control(np.eye(n_spans), degree) @ closed)
@@ -73,15 +71,20 @@ class NormalFields:
         self._at = np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1).reshape(1, -1, len(nodes))
         self._weights = weights[0] if len(weights) == 1 else np.multiply.outer(*weights).ravel()
 
-    def radius(self, splines: Sequence[Spline]) -> float:
-        """Return their :func:`equivalent_radius`."""
-        sizes = [float(self._weights @ np.linalg.norm(self._raw(s), axis=1)) for s in splines]
-        return equivalent_radius(sizes, len(self._grid))
+    def spread(self, splines: Sequence[Spline]) -> float:
+        """Return how far the shapes reach across their longest axis, in the root mean square: 1 for the unit sphere or circle [mm]."""
+        moments = np.zeros(splines[0].dimension)
+        for spline in splines:
+            jet = self._jet(spline)
+            share = self._weights * np.linalg.norm(_raw(jet), axis=1)
+            share /= share.sum()
+            points = jet.points[0] - share @ jet.points[0]
+            moments += np.linalg.eigvalsh(points.T @ (share[:, None] * points)) / len(splines)
+        return float(np.sqrt((1 + len(self._grid)) * moments[:-1].mean()))
 
     def beside(self, spline: Spline, scale: float) -> Spline:
         """Return the spline of positions and, times ``scale``, unit normals (curves: tangents): twice the components."""
-        raw = self._raw(spline)
-        field = unit(raw).reshape(*self._grid, -1)
+        field = unit(_raw(self._jet(spline))).reshape(*self._grid, -1)
         control = np.tensordot(self._fit[0], field, axes=(1, 0))
         if len(self._grid) == 2:
             control = np.swapaxes(np.tensordot(self._fit[1], control, axes=(1, 1)), 0, 1)
@@ -90,22 +93,30 @@ class NormalFields:
             return BSplineCurve(spline.degree, spline.knots, both)
         return BSplineSurface(spline.degree, spline.knots_u, spline.knots_v, both)
 
-    def _raw(self, spline: Spline) -> Floats:
-        """Return ``S_u x S_v`` or ``S_u`` at the nodes, (n, d)."""
-        first = SplineStack([spline], self._periodic).evaluate(self._at).first
-        return first[0][0] if len(first) == 1 else np.cross(first[0][0], first[1][0])
+    def at(self, splines: Sequence[Spline], parameters: Floats) -> Floats:
+        """Return the (n_S, n_P, d) normals of splines, each at its own (n_P, d_par) parameters."""
+        stack = SplineStack([self.beside(s, 1.0) for s in splines], self._periodic)
+        return stack.evaluate(parameters).points[..., splines[0].dimension :]
+
+    def _jet(self, spline: Spline) -> Jet:
+        return SplineStack([spline], self._periodic).evaluate(self._at)
 
 
-def equivalent_radius(sizes: Sequence[float], n_directions: int) -> float:
-    """Return the radius of the sphere with the mean area of surfaces, or of the circle with the mean length of curves.
+def _raw(jet: Jet) -> Floats:
+    """Return ``S_u x S_v`` or ``S_u`` of one spline, (n, d)."""
+    return jet.first[0][0] if len(jet.first) == 1 else np.cross(jet.first[0][0], jet.first[1][0])
+
+
+def carried(normals: Floats, linear: Floats) -> Floats:
+    """Return (n_S, n_P, d) normals after the linear maps (n_S, d, d) of their shapes; lengths stay.
 
     Examples
     --------
-    >>> round(equivalent_radius([4 * np.pi, 12 * np.pi], 2) ** 2, 6), round(equivalent_radius([2 * np.pi], 1), 6)
-    (2.0, 1.0)
+    >>> carried(np.array([[[0.6, 0.8]]]), np.array([np.diag([2.0, 1.0])])).round(3)
+    array([[[0.351, 0.936]]])
     """
-    mean = float(np.mean(sizes))
-    return mean / (2 * np.pi) if n_directions == 1 else float(np.sqrt(mean / (4 * np.pi)))
+    moved = normals @ np.linalg.inv(linear)
+    return np.asarray(moved * (np.linalg.norm(normals, axis=-1) / np.linalg.norm(moved, axis=-1))[..., None])
 
 
 def unit(vectors: Floats) -> Floats:
@@ -119,34 +130,3 @@ def unit(vectors: Floats) -> Floats:
     """
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.asarray(vectors / np.maximum(length, _DEGENERATE * max(float(length.max()), np.finfo(float).tiny)))
-
-
-def grid_normals(points: Floats, grid: tuple[int, ...], periodic: tuple[bool, ...]) -> tuple[Floats, float]:
-    """Return unit normals (curves: tangents) of (n_P, d) points on an even grid, by central differences, and area or length.
-
-    At a pole, where a whole row is one point, it is the mean normal of the row beside it.
-
-    Examples
-    --------
-    >>> u, v = np.meshgrid(np.arange(4) / 3, np.arange(4) / 3, indexing="ij")
-    >>> normals, area = grid_normals(np.stack([2 * u, v, 0 * u], axis=-1).reshape(-1, 3), (4, 4), (False, False))
-    >>> normals[0], round(area, 6)
-    (array([0., 0., 1.]), 2.0)
-    """
-    tangents = grid_tangents(points, grid, periodic)
-    raw = tangents[0] if len(grid) == 1 else np.cross(tangents[0], tangents[1])
-    shares = np.linalg.norm(raw, axis=1).reshape(grid)
-    for axis, (n, wraps) in enumerate(zip(grid, periodic, strict=True)):
-        if not wraps:  # the rule of trapezoids
-            ends = np.moveaxis(shares, axis, 0)
-            ends[[0, -1]] *= 0.5
-            ends *= n / (n - 1)
-    size = float(shares.mean())
-    if len(grid) == 1:
-        return unit(raw), size
-    field = unit(raw).reshape(*grid, -1)
-    shape = points.reshape(*grid, -1)
-    for end, beside in ((0, 1), (-1, -2)):
-        if np.linalg.norm(shape[:, end] - shape[:1, end], axis=-1).max() <= _DEGENERATE * np.sqrt(size):
-            field[:, end] = unit(field[:, beside].mean(axis=0, keepdims=True))
-    return field.reshape(points.shape), size

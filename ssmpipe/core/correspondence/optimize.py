@@ -88,8 +88,7 @@ class EngineOptions:
         curves and covariance ``I`` (:class:`ExactRule`).
     objective : {"description-length", "log-determinant", "trace"}
     normals : float
-        Weight of unit normals (curves: tangents) beside positions [equivalent radii]; 0 is the objective of the thesis. See
-        :mod:`.normals`.
+        Weight of unit normals (curves: tangents) beside positions, in :meth:`.NormalFields.spread`; 0 is the objective of the thesis.
     lambda_cut : float or None
         Threshold of the description length [mm^2]; None for the rule of :func:`automatic_lambda_cut`.
     pose : {"refined", "procrustes", "keep", "each-evaluation"}
@@ -203,6 +202,10 @@ class Optimum:
         Shapes that end before the window does.
     rim_shifts : (n_S,) or empty
         By how much rims lie elsewhere than those of the reference [share of the parameter]; empty where it was not asked for.
+    normals : (n_S, n_P, d), or None where they have no weight
+        Unit normals in the refined pose.
+    normal_scale : float
+        What they were multiplied with [mm].
     evaluator : {"numpy", "numba"}
         Which one evaluated the splines; both give the same bits.
     """
@@ -222,6 +225,8 @@ class Optimum:
     window: Window | None = None
     lacking: tuple[int, ...] = ()
     rim_shifts: Floats = field(default_factory=lambda: np.empty(0))
+    normals: Floats | None = None
+    normal_scale: float = 0.0
     evaluator: str = "numpy"
 
 
@@ -383,8 +388,10 @@ class _Cohort:
         self.lambda_cut = opts.lambda_cut if opts.lambda_cut is not None else automatic_lambda_cut(self.size)
         self.spectral = spectral_function(opts.objective, self.lambda_cut)
         self.constraint = Barrier(opts.aggregate, opts.floor, opts.sharpness)
+        if not 0 <= opts.normals < np.inf:
+            raise GeometryError(f"normals is {opts.normals}, it must be 0 or more")
         self._fields = NormalFields(splines[0], self.output.periodic) if opts.normals > 0 else None
-        self._normal_scale = opts.normals * self._fields.radius(splines) if self._fields is not None else 0.0
+        self._normal_scale = opts.normals * self._fields.spread(splines) if self._fields is not None else 0.0
         if opts.reference == "none":
             self.reference = -1
         elif opts.reference == "nearest-to-mean":
@@ -660,6 +667,9 @@ class _Cohort:
         eigenvalues_initial = objective.evaluate(objective.start()).spectrum.eigenvalues
         parameters = self.output.evaluate(coefficients)
         length = spectral_function("description-length", self.lambda_cut).value
+        normals = None
+        if self._fields is not None:
+            normals = self._fields.at(self.splines, parameters) @ np.swapaxes(self.alignment.rotation, 1, 2)
         return Optimum(
             coefficients=coefficients,
             parameters=parameters,
@@ -674,6 +684,8 @@ class _Cohort:
             certificates=tuple(certify(c, space) for c in coefficients),
             guide_residuals=self.guide_residuals(coefficients, space),
             window=self.opts.window,
+            normals=normals,
+            normal_scale=self._normal_scale,
             evaluator=self.raw.evaluator,
         )
 

@@ -52,6 +52,10 @@ class ShapeModel:
         Variance below which a mode counted as noise in the optimization [mm^2]; NaN where it is not known.
     window : Window, optional
         Part of the parameter domain that it covers, where rims were free.
+    normals : (n_S, n_P, d), optional
+        Unit normals of the training points, where the correspondence weighed them.
+    normal_scale : float
+        With what [mm].
     chain : Chain, optional
         None for a model that was not built by a run, or by a version that did not keep it.
     """
@@ -66,6 +70,8 @@ class ShapeModel:
     topology: str
     lambda_cut: float = float("nan")
     window: Window | None = None
+    normals: Floats | None = None
+    normal_scale: float = 0.0
     chain: Chain | None = None
 
     @property

@@ -9,6 +9,7 @@ import pytest
 from ssmpipe.core.align.rigid import homogeneous, rotation_vector_matrix
 from ssmpipe.core.correspondence import newcomer
 from ssmpipe.core.correspondence.affine_start import LEAST_JACOBIAN, turned_identity
+from ssmpipe.core.correspondence.covariance import centred_spectrum
 from ssmpipe.core.correspondence.inequalities import Inequalities
 from ssmpipe.core.correspondence.newcomer import FixedCohort, NewcomerObjective, bring_in
 from ssmpipe.core.correspondence.optimize import EngineOptions, optimize_correspondence
@@ -30,7 +31,8 @@ def finished(normals=0.0):
 def cohort(**changes):
     _, optimum = finished(changes.get("normals", 0.0))
     options = replace(OPTIONS, lambda_cut=optimum.lambda_cut, **changes)
-    return FixedCohort(optimum.points, (17, 17), closes=False, options=options)
+    seen = {"normals": optimum.normals, "normal_scale": optimum.normal_scale}
+    return FixedCohort(optimum.points, (17, 17), closes=False, options=options, **seen)
 
 
 @pytest.mark.parametrize("covariance", ["discrete", "I", "II"])
@@ -57,7 +59,7 @@ def rms(offsets):
     return float(np.sqrt((offsets**2).sum(axis=-1).mean()))
 
 
-@pytest.mark.parametrize("normals", [0.0, 0.7])
+@pytest.mark.parametrize("normals", [0.0, 0.8])
 def test_a_shape_of_the_cohort_comes_back_nearly_as_it_was(normals):
     splines, optimum = finished(normals)
     fixed = cohort(normals=normals)
@@ -69,6 +71,14 @@ def test_a_shape_of_the_cohort_comes_back_nearly_as_it_was(normals):
             assert end < 0.1
         else:
             assert end < 0.25 * start, (k, start, end)
+
+
+def test_the_fixed_shapes_are_seen_as_the_group_saw_them():
+    _, optimum = finished(0.8)
+    seen = cohort(normals=0.8).seen
+    centred, spectrum = centred_spectrum(seen, np.full(seen.shape[1], 1 / seen.shape[1]))
+    assert centred.shape[2] == 6
+    np.testing.assert_allclose(spectrum.eigenvalues, optimum.eigenvalues, rtol=0.02, atol=optimum.lambda_cut)
 
 
 def test_a_new_shape_is_put_into_correspondence():
