@@ -60,7 +60,7 @@ _SLOW = {"direct": direct_gradient, "finite-difference": finite_difference_gradi
 
 @dataclass(frozen=True)
 class EngineOptions:
-    """Choices of the group optimization; the defaults come from the study in the docs.
+    """Choices of the group optimization. The defaults come from the study in the docs, but for ``normals``: the stage weighs them.
 
     Parameters
     ----------
