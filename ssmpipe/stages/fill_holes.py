@@ -137,7 +137,7 @@ def _openings(mesh: TriMesh, marks: Landmarks, n: int, share: float) -> list[Int
 STAGE = Stage(
     name="fill-holes",
     scope="shape",
-    version=1,
+    version=2,  # nearer surroundings, less smoothing
     config=Config,
     run=run,
     inputs=(Port("mesh", "trimesh"), Port("landmarks", "landmarks", optional=True)),

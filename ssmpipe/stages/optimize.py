@@ -351,7 +351,7 @@ def run(
     _warn_of_poles(certificate["shapes"], ctx)
     history = {key: values.tolist() for key, values in result.history.items()}
     columns = {"iteration": [int(k) for k in history.pop("iteration")], "elapsed_s": elapsed, **history}
-    comment = "description_length [nat], in the pose of the moment; elapsed_s is a timing and differs from run to run"
+    comment = "description_length [nat], normals included, in the pose of the moment; elapsed_s is a timing and differs from run to run"
     return {
         "correspondence": correspondence,
         "certificate": certificate,

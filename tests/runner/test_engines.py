@@ -35,9 +35,11 @@ def test_serial_and_processes_give_the_same_bits_also_when_one_is_killed(tmp_pat
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("n_blocks", [None, 4])
-def test_threads_share_the_work_and_give_the_same_bits(monkeypatch: pytest.MonkeyPatch, n_blocks: int | None) -> None:
-    options = replace(OPTIONS, landmark_blocks=n_blocks)
+@pytest.mark.parametrize(("n_blocks", "normals"), [(None, 0.0), (4, 0.8)])
+def test_threads_share_the_work_and_give_the_same_bits(
+    monkeypatch: pytest.MonkeyPatch, n_blocks: int | None, normals: float
+) -> None:
+    options = replace(OPTIONS, landmark_blocks=n_blocks, normals=normals)
     serial = optimized(None, options)
     used: set[int] = set()
     stack = SplineStack.evaluate_some

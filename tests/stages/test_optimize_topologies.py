@@ -33,6 +33,36 @@ def optimized(kind, **options):
     return go(optimize, chosen | options, surface=surfaces, transform=transform, landmarks=None)
 
 
+def test_surfaces_weigh_their_normals_unless_told_otherwise():
+    made, ctx = optimized("cone", max_iterations=3)
+    c = made["correspondence"]
+    assert ctx.metrics["normals"] == 0.8
+    assert c.normal_scale == pytest.approx(ctx.metrics["normal_scale_mm"])
+    assert c.normals.shape == c.points.shape
+    assert np.linalg.norm(c.normals, axis=2) == pytest.approx(1.0, abs=0.05)
+    outward = np.einsum("ild,ild->il", c.normals, c.points - c.points.mean(axis=1)[:, None])
+    assert (outward > 0).mean() > 0.95 or (outward < 0).mean() > 0.95  # one sense on all shapes
+    plain, ctx = optimized("cone", max_iterations=3, normals=0)
+    assert plain["correspondence"].normals is None
+    assert ctx.metrics["normals"] == 0
+    assert plain["correspondence"].description_length[0] < c.description_length[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"normals": -1}, "0 or more"),
+        ({"normals": float("nan")}, "0 or more"),
+        ({"normals": 0.8, "pose": "each-evaluation"}, "use pose: refined, or normals: 0"),
+    ],
+)
+def test_normals_that_cannot_be_are_refused_with_the_options(options, words):
+    with pytest.raises(ValueError, match=words):
+        optimize.Config(**options)
+    optimize.Config(pose="each-evaluation")
+    optimize.Config(pose="each-evaluation", normals=0)
+
+
 @pytest.mark.parametrize(("kind", "n_loops", "n_poles"), [("tube", 2, 0), ("cone", 1, 1), ("closed", 0, 2)])
 def test_turned_starts_are_turned_back(kind, n_loops, n_poles):
     made, ctx = optimized(kind)

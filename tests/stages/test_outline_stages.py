@@ -228,6 +228,7 @@ def test_the_closed_form_is_chosen_by_the_config_and_refuses_what_has_none() -> 
     transform = {i: np.eye(4) for i in curves}
     out, ctx = go(optimize, surface=curves, transform=transform, landmarks=None, options=closed)
     assert out["certificate"]["all_proved"]
+    assert ctx.metrics["normals"] == 0  # curves have none by default
     assert ctx.metrics["description_length_after"] < ctx.metrics["description_length_before"]
     for change, words in (
         ({"covariance": "II"}, "set covariance: I"),

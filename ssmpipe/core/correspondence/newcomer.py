@@ -27,9 +27,7 @@ from ssmpipe.core.correspondence.turns import starting_turns
 from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.optim.interior import DescentOptions, minimize_interior
 from ssmpipe.core.result import Result, Status
-from ssmpipe.core.spline.curve import BSplineCurve
 from ssmpipe.core.spline.evaluate import Jet, Spline, SplineStack
-from ssmpipe.core.spline.surface import BSplineSurface
 
 
 @dataclass(frozen=True, eq=False)
@@ -362,7 +360,7 @@ def bring_in(spline: Spline, cohort: FixedCohort) -> Result[Newcomer]:
     current = stack.evaluate(space.evaluate(coefficients[None])).points[0]
     linear, offset, scale = cohort.normalization(current @ rotation.T + translation)
     for _ in range(1 + rounds):
-        seen = _moved(spline, linear @ rotation, linear @ translation + offset)
+        seen = spline.with_control(spline.control_points @ (linear @ rotation).T + (linear @ translation + offset))
         objective = NewcomerObjective(
             fields.beside(seen, cohort.normal_scale) if fields is not None else seen,
             space,
@@ -435,10 +433,3 @@ def _affine_start(stack: SplineStack, cohort: FixedCohort, turned: Floats, turn:
         n_tries=29,
     )
     return x.reshape(turned.shape)
-
-
-def _moved(spline: Spline, linear: Floats, offset: Floats) -> Spline:
-    control = (spline.control_points @ linear.T) + offset
-    if isinstance(spline, BSplineSurface):
-        return BSplineSurface(spline.degree, spline.knots_u, spline.knots_v, control)
-    return BSplineCurve(spline.degree, spline.knots, control)

@@ -14,11 +14,9 @@ import numpy as np
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.spline.basis import design_matrix, gauss_rule, periodic_design_matrix
-from ssmpipe.core.spline.curve import BSplineCurve
 from ssmpipe.core.spline.evaluate import Jet, Spline, SplineStack
 from ssmpipe.core.spline.knots import breakpoints
 from ssmpipe.core.spline.periodic import clamped_control
-from ssmpipe.core.spline.surface import BSplineSurface
 
 DEFAULT_NORMALS = 0.8
 """What a unit of the normals weighs [spreads]; see docs/normals.md."""
@@ -42,6 +40,7 @@ class NormalFields:
 
     Examples
     --------
+    >>> from ssmpipe.core.spline.surface import BSplineSurface
     >>> flat = BSplineSurface((1, 1), np.array([0, 0, 1, 1.]), np.array([0, 0, 1, 1.]),
     ...                       np.array([[[0, 0, 0], [0, 2, 0]], [[2, 0, 0], [2, 2, 0.]]]))
     >>> fields = NormalFields(flat, (False, False))
@@ -88,10 +87,7 @@ class NormalFields:
         control = np.tensordot(self._fit[0], field, axes=(1, 0))
         if len(self._grid) == 2:
             control = np.swapaxes(np.tensordot(self._fit[1], control, axes=(1, 1)), 0, 1)
-        both = np.concatenate([spline.control_points, scale * control], axis=-1)
-        if isinstance(spline, BSplineCurve):
-            return BSplineCurve(spline.degree, spline.knots, both)
-        return BSplineSurface(spline.degree, spline.knots_u, spline.knots_v, both)
+        return spline.with_control(np.concatenate([spline.control_points, scale * control], axis=-1))
 
     def at(self, splines: Sequence[Spline], parameters: Floats) -> Floats:
         """Return the (n_S, n_P, d) normals of splines, each at its own (n_P, d_par) parameters."""

@@ -41,7 +41,6 @@ from ssmpipe.core.result import Result, Status
 from ssmpipe.core.spline.curve import BSplineCurve
 from ssmpipe.core.spline.evaluate import Spline, SplineStack
 from ssmpipe.core.spline.project import nearest_parameters
-from ssmpipe.core.spline.surface import BSplineSurface
 
 Normalization = Literal["none", "size", "affine"]
 Solver = Literal["auto", "newton", "quasi-newton"]
@@ -60,7 +59,7 @@ _SLOW = {"direct": direct_gradient, "finite-difference": finite_difference_gradi
 
 @dataclass(frozen=True)
 class EngineOptions:
-    """Choices of the group optimization; the defaults come from the study in the docs.
+    """Choices of the group optimization. The defaults come from the study in the docs, but for ``normals``: the stage weighs them.
 
     Parameters
     ----------
@@ -532,10 +531,7 @@ class _Cohort:
         shape = spline.control_points.shape
         linear, offset = self.normal[0][i], self.normal[1][i]
         moved = spline.control_points @ self.alignment.rotation[i].T + self.alignment.translation[i]
-        control = (moved @ linear.T + offset).reshape(shape)
-        if isinstance(spline, BSplineCurve):
-            return BSplineCurve(spline.degree, spline.knots, control)
-        return BSplineSurface(spline.degree, spline.knots_u, spline.knots_v, control)
+        return spline.with_control((moved @ linear.T + offset).reshape(shape))
 
     def registered_rims(self) -> Registered | None:
         """Return the reference registered with rims that may lie anywhere; None where nothing asks for it."""

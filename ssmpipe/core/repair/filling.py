@@ -32,9 +32,9 @@ Method = Literal["auto", "implicit", "biharmonic", "membrane"]
 FOLDED = 0.03
 """Share of a patch's area that may face away from its surroundings: single faces in the teeth of a ragged rim [-]."""
 
-N_NODES, OFFSET, SMOOTHING = 350, 0.075, 0.03
-"""Of the implicit surface: number of points, share of the hole's width for the points off the surface, smoothing. Found on a
-tube with sinuses with holes of 4 and 7 mm radius: 0.02 to 0.06 mm for noise of 0 to 0.2 mm (benchmarks/fill_holes.py)."""
+N_NODES, REACH, OFFSET, SMOOTHING = 350, 0.4, 0.075, 0.01
+"""Of the implicit surface: number of points, how far from the rim they may lie and where points off the surface lie [widths of the
+hole], smoothing. Found on a tube with sinuses with holes of 4 and 7 mm radius (benchmarks/fill_holes.py)."""
 
 
 @dataclass(frozen=True)
@@ -202,7 +202,7 @@ def _spacing(mesh: TriMesh) -> float:
 def _surface_around(smooth: TriMesh, ring: Ints, width: float) -> ImplicitSurface:
     """Return the surface through what lies around the hole, without the rim itself, which smoothing distorts."""
     apart = cKDTree(smooth.vertices[ring]).query(smooth.vertices)[0]
-    near = np.flatnonzero((apart < 0.5 * width) & (apart > 1.5 * _spacing(smooth)))
+    near = np.flatnonzero((apart < REACH * width) & (apart > 1.5 * _spacing(smooth)))
     near = near[thinned(smooth.vertices[near], N_NODES)]
     return ImplicitSurface(smooth.vertices[near], vertex_normals(smooth)[near], OFFSET * width, SMOOTHING)
 

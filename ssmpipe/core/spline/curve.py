@@ -50,6 +50,10 @@ class BSplineCurve:
         object.__setattr__(self, "knots", frozen(knots, np.float64))
         object.__setattr__(self, "control_points", frozen(control, np.float64))
 
+    def with_control(self, control_points: Floats) -> BSplineCurve:
+        """Return the curve on the same knots with other (n, d) control points."""
+        return BSplineCurve(self.degree, self.knots, control_points)
+
     @property
     def dimension(self) -> int:
         """Dimension d of the space the curve lives in."""

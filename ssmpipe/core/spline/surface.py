@@ -53,6 +53,10 @@ class BSplineSurface:
             object.__setattr__(self, name, frozen(knots, np.float64))
         object.__setattr__(self, "control_points", frozen(control, np.float64))
 
+    def with_control(self, control_points: Floats) -> BSplineSurface:
+        """Return the surface on the same knots with other (n_u, n_v, d) control points."""
+        return BSplineSurface(self.degree, self.knots_u, self.knots_v, control_points)
+
     @property
     def dimension(self) -> int:
         """Dimension d of the space the surface lives in."""

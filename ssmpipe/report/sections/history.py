@@ -30,6 +30,7 @@ def render(data: ReportData) -> Section | None:
         before=before,
         after=after,
         change=change(before, after),
+        normals=data.correspondence.normals is not None,
         lambda_cut=f"{float(data.correspondence.lambda_cut):.3g}",
         smallest=float(np.nanmin(smallest)) if np.isfinite(smallest).any() else None,
     )
