@@ -95,6 +95,12 @@ def test_surfaces_in_the_plane_are_refused():
         NormalFields(BSplineSurface((1, 1), knots, knots, np.zeros((2, 2, 2))), (False, False))
 
 
+@pytest.mark.parametrize("normals", [-1.0, float("nan"), float("inf")])
+def test_weights_that_are_no_weights_are_refused(normals):
+    with pytest.raises(GeometryError, match="normals is .*, it must be 0 or more"):
+        optimize_correspondence([shape("disk"), bump((27.0, 30.0), 15.0)], EngineOptions(normals=normals))
+
+
 def test_normals_find_the_flanks_that_positions_leave_free():
     """Terraces whose edge lies elsewhere: the same place is the same height; true edges are known."""
     t = np.linspace(0, 1, 96)
