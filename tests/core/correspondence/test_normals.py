@@ -97,7 +97,7 @@ def test_surfaces_in_the_plane_are_refused():
 
 @pytest.mark.parametrize("normals", [-1.0, float("nan"), float("inf")])
 def test_weights_that_are_no_weights_are_refused(normals):
-    with pytest.raises(GeometryError, match="normals is .*, it must be 0 or more"):
+    with pytest.raises(GeometryError, match=r"normals is .*, it must be 0 or more"):
         optimize_correspondence([shape("disk"), bump((27.0, 30.0), 15.0)], EngineOptions(normals=normals))
 
 
