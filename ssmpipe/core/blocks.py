@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Callable
-from functools import cache
 from queue import SimpleQueue
 from typing import Any, Generic, TypeVar, cast
 
 T = TypeVar("T")
 _HERE = threading.local()
+_HELPERS: dict[int, tuple[threading.Thread, list[SimpleQueue[_Shared[Any]]]]] = {}
 
 
 def map_blocks(function: Callable[[slice], T], n: int, size: int, threads: int = 1) -> list[T]:
@@ -123,20 +122,20 @@ def side_by_side(function: Callable[[], T], other: Callable[[], object], threads
     return cast("T", answers[0])
 
 
-@cache
 def _helpers(n: int) -> list[SimpleQueue[_Shared[Any]]]:
     """Return the inboxes of ``n`` threads; kept: new threads come with new memory, whose first touch costs more than a block.
 
-    A queue and no executor: an executor takes as long to start and end as a small block.
+    A queue and no executor: an executor takes as long to start and end as a small block. In a forked child they are made anew, since
+    threads do not come along.
     """
-    inboxes: list[SimpleQueue[_Shared[Any]]] = [SimpleQueue() for _ in range(n)]
-    for inbox in inboxes:
-        threading.Thread(target=_help, args=(inbox,), daemon=True).start()
-    return inboxes
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_helpers.cache_clear)  # threads do not come along
+    known = _HELPERS.get(n)
+    if known is None or not known[0].is_alive():
+        inboxes: list[SimpleQueue[_Shared[Any]]] = [SimpleQueue() for _ in range(n)]
+        threads = [threading.Thread(target=_help, args=(inbox,), daemon=True) for inbox in inboxes]
+        for thread in threads:
+            thread.start()
+        known = _HELPERS[n] = (threads[0], inboxes)
+    return known[1]
 
 
 def _help(inbox: SimpleQueue[_Shared[Any]]) -> None:
