@@ -39,9 +39,8 @@ def affine_to_mean(
     centroids = weights @ points
     centred = points - centroids[:, None]
     covariance = np.swapaxes(centred, 1, 2) @ (weights[:, None] * centred)
-    beside = centred.transpose(1, 0, 2).reshape(
-        -1, n_shapes * d
-    )  # all shapes in one matrix: two products per iteration
+    # all shapes in one matrix: two products per iteration
+    beside = centred.transpose(1, 0, 2).reshape(-1, n_shapes * d)
     pull = ridge * np.trace(covariance, axis1=1, axis2=2)[:, None, None] / d * np.eye(d)
     linear = np.repeat(np.eye(d)[None], n_shapes, axis=0)
     for _ in range(n_iterations):
