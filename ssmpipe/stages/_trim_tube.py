@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from ssmpipe.contract import Context, Landmarks
-from ssmpipe.core.arrays import Ints
+from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.errors import GeometryError, LandmarkError
 from ssmpipe.core.mesh.operators import area
 from ssmpipe.core.mesh.topology import boundary_loops, loop_length
@@ -55,7 +55,7 @@ def trim_both_ends(
     else:
         planes = planes_inside_rims(mesh, rims, margin)
     if at == "sinuses":
-        planes = _by_sinuses(mesh, rims, planes, ctx, below_sinuses, tube_mm, extend_mm)
+        planes = _by_sinuses(mesh, rims, planes, ctx, below_sinuses, tube_mm, marks.role("trim"), extend_mm)
     done = trim_tube(mesh, rims, planes, extend_mm=extend_mm, snap=snap)
     ctx.metric("cut_by", at)
     for k, (removed, added) in enumerate(zip(done.removed, done.added, strict=True), start=1):
@@ -85,6 +85,7 @@ def _by_sinuses(
     ctx: Context,
     below: float,
     tube_mm: float | None,
+    mark: Floats | None,
     extend_mm: float,
 ) -> tuple[EndPlane, EndPlane]:
     """Return planes by the sinuses, or those at the rims where there are none; the report says which."""
@@ -94,7 +95,7 @@ def _by_sinuses(
         ctx.warn(f"{error.fact}; both ends are cut just inside the rims, at places that need not correspond")
         ctx.metric("sinuses", "not found")
         return at_rims
-    lower, upper = planes_at_sinuses(sinuses, below, tube_mm)
+    lower, upper = planes_at_sinuses(mesh, sinuses, below, tube_mm if mark is None else mark)
     other = at_rims[1 if sinuses.first else 0]
     ctx.metric("sinuses", "first end" if sinuses.first else "second end")
     ctx.metric("sinus_height_mm", sinuses.height)
@@ -103,9 +104,10 @@ def _by_sinuses(
         rim = mesh.vertices[rims[1 if sinuses.first else 0]]
         missing = -float(((rim - upper.point) @ upper.normal).min())
         if missing > extend_mm:
+            wanted = f"trim.tube_mm: {tube_mm:g}" if mark is None else "the landmark of role trim"
             ctx.warn(
-                f"the scan ends {missing:.1f} mm before trim.tube_mm: {tube_mm:g}, more than trim.extend_mm, and is cut just inside "
-                "its rim, at a place that need not correspond"
+                f"the scan ends {missing:.1f} mm before {wanted}, "
+                "more than trim.extend_mm, and is cut just inside its rim, at a place that need not correspond"
             )
         else:
             other = upper

@@ -1,6 +1,6 @@
 """Close the holes of a surface, and remove the stumps of branches that were cut off.
 
-Every boundary loop is closed unless it is an opening: the `keep_openings` longest loops, or those nearest to the landmarks with
+Every boundary loop is closed unless it is an opening: the `keep_openings` longest loops, or those at the landmarks with
 roles opening_1 and opening_2. A hole in a wall gets a patch that continues the curvature around it; the stump of a branch is
 first removed to its base.
 """
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import Field
 
 from ssmpipe.contract import Context, Landmarks, Port, Stage, StageConfig
@@ -20,6 +19,7 @@ from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.repair.filling import fill
 from ssmpipe.core.repair.holes import check_loops
 from ssmpipe.core.repair.stump import flatten
+from ssmpipe.core.repair.tube_ends import opening_at
 
 OPENINGS = ("opening_1", "opening_2")
 STUMPS = tuple(f"stump_{k}" for k in range(1, 9))
@@ -76,7 +76,7 @@ def run(mesh: TriMesh, landmarks: Landmarks | None = None, *, cfg: Config, ctx: 
     """Fill the holes of one shape; see :mod:`ssmpipe.core.repair.filling` and :mod:`ssmpipe.core.repair.stump`."""
     check_loops(mesh)
     marks = landmarks if landmarks is not None else Landmarks()
-    openings = _openings(mesh, marks, cfg.keep_openings, cfg.opening_share)
+    openings = _openings(mesh, marks, cfg.keep_openings, cfg.opening_share, ctx)
     places = [] if cfg.stumps == "none" else [p for p in map(marks.role, STUMPS) if p is not None]
     before = len(boundary_loops(mesh.faces))
     flat, holes, removed = flatten(
@@ -109,20 +109,25 @@ def run(mesh: TriMesh, landmarks: Landmarks | None = None, *, cfg: Config, ctx: 
     return {"mesh": filled}
 
 
-def _openings(mesh: TriMesh, marks: Landmarks, n: int, share: float) -> list[Ints]:
+def _openings(mesh: TriMesh, marks: Landmarks, n: int, share: float, ctx: Context) -> list[Ints]:
     loops = sorted(boundary_loops(mesh.faces), key=lambda loop: -loop_length(mesh, loop))
     chosen: list[int] = []
     for role in OPENINGS:
         mark = marks.role(role)
-        if mark is None or not loops:
+        if mark is None:
             continue
-        nearest = int(np.argmin([np.linalg.norm(mesh.vertices[loop] - mark, axis=1).min() for loop in loops]))
-        if nearest in chosen:
+        meant = opening_at(mesh, loops, mark)
+        if meant is None:
+            ctx.warn(
+                f"no opening lies within its own diameter of the landmark with role {role}: is the surface closed there?"
+            )
+        elif meant in chosen:
             raise LandmarkError(
-                f"opening_1 and opening_2 are nearest to the same loop of {loop_length(mesh, loops[nearest]):.1f} mm",
+                f"opening_1 and opening_2 lie at the same loop of {loop_length(mesh, loops[meant]):.1f} mm",
                 "put each landmark at its own opening",
             )
-        chosen.append(nearest)
+        else:
+            chosen.append(meant)
     least = share * max((loop_length(mesh, loop) for loop in loops), default=0.0)
     large = [k for k in range(len(loops)) if k not in chosen and loop_length(mesh, loops[k]) >= least]
     chosen += large[: max(0, n - len(chosen))]
@@ -137,7 +142,7 @@ def _openings(mesh: TriMesh, marks: Landmarks, n: int, share: float) -> list[Int
 STAGE = Stage(
     name="fill-holes",
     scope="shape",
-    version=2,  # nearer surroundings, less smoothing
+    version=3,  # landmarks of openings in their middles
     config=Config,
     run=run,
     inputs=(Port("mesh", "trimesh"), Port("landmarks", "landmarks", optional=True)),

@@ -82,7 +82,8 @@ class Config(StageConfig):
         Field(
             description="Where a tube is cut: just inside each ragged rim; at `end_fractions` of its centre line; through "
             "the landmarks with roles opening_1 and opening_2 (which otherwise only tell the rims apart); or below the sinuses of an "
-            "aortic root that geometry finds, and `tube_mm` farther up (at the rims, with a warning, where there are none)."
+            "aortic root that geometry finds, and through the landmark with role trim or `tube_mm` farther up (at the rims, with a "
+            "warning, where there are no sinuses)."
         ),
     ] = "rims"
     end_margin_mm: Annotated[
@@ -104,8 +105,8 @@ class Config(StageConfig):
         float | None,
         Field(
             gt=0,
-            description="With ends_at: sinuses, distance of the upper cut from the lower one along the centre line; without it the "
-            "upper end is cut just inside its rim [mm].",
+            description="With ends_at: sinuses and without a landmark of role trim, distance of the upper cut from the lower one along "
+            "the centre line; without both the upper end is cut just inside its rim [mm].",
         ),
     ] = None
     extend_mm: Annotated[
@@ -188,7 +189,7 @@ def run(mesh: TriMesh, landmarks: Landmarks | None = None, *, cfg: Config, ctx: 
 STAGE = Stage(
     name="trim",
     scope="shape",
-    version=4,
+    version=5,  # sections through both ends of a tube as small as can be, the upper one at a landmark
     config=Config,
     run=run,
     inputs=(Port("mesh", "trimesh"), Port("landmarks", "landmarks", optional=True)),

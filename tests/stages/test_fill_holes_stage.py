@@ -65,10 +65,25 @@ def test_landmarks_name_the_openings():
     assert ctx.metrics["n_openings_kept"] == 2
     assert len(boundary_loops(filled.faces)) == 2
     same = dict.fromkeys(marks, marks["opening_1"])
-    with pytest.raises(LandmarkError, match=r"opening_1 and opening_2 are nearest to the same loop"):
+    with pytest.raises(LandmarkError, match=r"opening_1 and opening_2 lie at the same loop"):
         go(mesh, Landmarks(same))
     with pytest.raises(TopologyError, match=r"3 boundary loops, 4 shall stay open \(fill-holes\.keep_openings\)"):
         go(mesh, keep_openings=4)
+
+
+def test_a_landmark_in_the_middle_of_an_end_means_no_hole_beside_it():
+    pipe = holed_tube()
+    mark = np.array([0.0, 0.0, 25.0])
+    near, *rims = sorted(
+        boundary_loops(pipe.faces), key=lambda loop: float(np.linalg.norm(pipe.vertices[loop] - mark, axis=1).min())
+    )
+    assert len(near) < len(rims[0])
+    filled, ctx = go(pipe, Landmarks({"opening_1": np.zeros(3), "opening_2": mark}))
+    ends = sorted(float(filled.vertices[loop][:, 2].mean()) for loop in boundary_loops(filled.faces))
+    assert ends == pytest.approx([0.0, 30.0])
+    assert not ctx.warnings
+    _, ctx = go(pipe, Landmarks({"opening_2": np.array([0.0, 0.0, 50.0])}), keep_openings=2)
+    assert "no opening lies within its own diameter of the landmark with role opening_2" in ctx.warnings[0]
 
 
 @pytest.mark.skipif(not AORTAS, reason="the aortas of ../shared/data/aorta_synth are not there")

@@ -66,6 +66,16 @@ class TestSinuses:
         mesh, _ = go(aortic_root(), ends=2, ends_at="sinuses", below_sinuses=0.0)
         assert heights(mesh) == pytest.approx([5.0, 59.5], abs=0.6)
 
+    def test_a_landmark_says_where_the_other_end_is(self):
+        options = {"ends": 2, "ends_at": "sinuses", "below_sinuses": 0.5, "tube_mm": 45.0}
+        mesh, ctx = go(aortic_root(), {"trim": [0.0, 0.0, 51.0]}, **options)
+        assert heights(mesh) == pytest.approx([-2.0, 51.0], abs=0.8)
+        assert heights(mesh)[1] == pytest.approx(51.0, abs=0.2)
+        assert not ctx.warnings
+        mesh, ctx = go(aortic_root(end=40.0), {"trim": [0.0, 0.0, 51.0]}, **options)
+        assert heights(mesh)[1] == pytest.approx(39.5, abs=0.1)
+        assert "before the landmark of role trim, more than trim.extend_mm" in ctx.warnings[0]
+
     def test_a_scan_that_ends_too_early_is_continued_or_cut_at_its_rim_and_says_so(self):
         options = {"ends": 2, "ends_at": "sinuses", "below_sinuses": 0.5, "tube_mm": 45.0}
         mesh, ctx = go(aortic_root(end=40.0), **options, extend_mm=6.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ssmpipe.core.arrays import Floats
+from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.mesh.trimesh import TriMesh
 
 
@@ -25,9 +25,14 @@ def level_segments(mesh: TriMesh, level: Floats) -> Floats:
     level : (n_vertices,) float64
         The function at the vertices.
     """
+    return segments_on_faces(mesh, level)[0]
+
+
+def segments_on_faces(mesh: TriMesh, level: Floats) -> tuple[Floats, Ints]:
+    """Return the segments of :func:`level_segments`, and the face (n,) that each lies on."""
     above = level[mesh.faces] > 0
     count = above.sum(axis=1)
-    crossed = (count == 1) | (count == 2)
+    crossed = np.flatnonzero((count == 1) | (count == 2))
     faces, above, count = mesh.faces[crossed], above[crossed], count[crossed]
     lone = np.where(count == 1, np.argmax(above, axis=1), np.argmin(above, axis=1))
     index = (np.arange(3)[None, :] + lone[:, None]) % 3
@@ -38,7 +43,7 @@ def level_segments(mesh: TriMesh, level: Floats) -> Floats:
         ends.append((1.0 - t)[:, None] * mesh.vertices[a] + t[:, None] * mesh.vertices[other])
     first, second = ends
     up = (count == 1)[:, None]
-    return np.stack([np.where(up, first, second), np.where(up, second, first)], axis=1)
+    return np.stack([np.where(up, first, second), np.where(up, second, first)], axis=1), crossed
 
 
 def section_areas(mesh: TriMesh, axis: Floats, heights: Floats) -> tuple[Floats, Floats]:

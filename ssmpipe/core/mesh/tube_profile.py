@@ -112,6 +112,33 @@ def point_on_line(line: Floats, at: float, window: float) -> tuple[Floats, Float
     return point, tangent / np.linalg.norm(tangent)
 
 
+def point_on_longer_line(line: Floats, at: float, window: float) -> tuple[Floats, Floats]:
+    """Return point and tangent as :func:`point_on_line` does; near its ends, where rims are ragged, and beyond, the line is straight.
+
+    Examples
+    --------
+    >>> point, tangent = point_on_longer_line(np.array([[0.0, 0, 0], [0, 0, 4]]), 5.0, 2.0)
+    >>> point.round(9), tangent.round(9)
+    (array([0., 0., 5.]), array([0., 0., 1.]))
+    """
+    total = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
+    inside = float(np.clip(at, 0.35 * window, total - 0.35 * window))
+    point, tangent = point_on_line(line, inside, window)
+    return point + (at - inside) * tangent, tangent
+
+
+def place_on_line(line: Floats, point: Floats) -> float:
+    """Return the arc length of the vertex of a polyline that lies nearest to a point [mm].
+
+    Examples
+    --------
+    >>> place_on_line(np.array([[0.0, 0, 0], [0, 0, 2], [0, 0, 4]]), np.array([1.0, 0, 2.5]))
+    2.0
+    """
+    length = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))]
+    return float(length[np.argmin(np.linalg.norm(line - point, axis=1))])
+
+
 def _round(segments: Floats, axis: Floats, n_orders: int) -> tuple[float, Floats]:
     """Return the diameter of the circle of equal area and the amplitudes of the waves; NaN unless the section closes."""
     nothing = float("nan"), np.full(n_orders, np.nan)

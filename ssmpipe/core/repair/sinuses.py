@@ -11,8 +11,8 @@ from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.mesh.centre_line import centre_line
 from ssmpipe.core.mesh.trimesh import TriMesh
-from ssmpipe.core.mesh.tube_profile import TubeProfile, point_on_line, tube_profile
-from ssmpipe.core.repair.tube_ends import EndPlane
+from ssmpipe.core.mesh.tube_profile import TubeProfile, place_on_line, point_on_longer_line, tube_profile
+from ssmpipe.core.repair.tube_ends import EndPlane, median_radius, plane_across
 
 _BULGE = 0.02
 """Sinuses are wider than the tube on both sides of them by at least this share."""
@@ -89,7 +89,7 @@ def find_sinuses(mesh: TriMesh, rims: tuple[Ints, Ints]) -> Sinuses:
     True
     """
     line = centre_line(mesh, *rims)
-    radius = _median_radius(mesh, rims)
+    radius = median_radius(mesh, rims)
     found, refusals = [], []
     for first in (True, False):
         one = line if first else line[::-1]
@@ -107,49 +107,48 @@ def find_sinuses(mesh: TriMesh, rims: tuple[Ints, Ints]) -> Sinuses:
     return found[0]
 
 
-def planes_at_sinuses(sinuses: Sinuses, below: float, length: float | None) -> tuple[EndPlane, EndPlane | None]:
-    """Return the plane below the sinuses and another one farther up, across the centre line, normals out of the tube.
+def planes_at_sinuses(
+    mesh: TriMesh, sinuses: Sinuses, below: float, upper: float | Floats | None
+) -> tuple[EndPlane, EndPlane | None]:
+    """Return the plane below the sinuses and another one farther up, normals out of the tube.
+
+    The first one cuts the tube in the smallest section (:func:`.plane_across`), since one sinus larger than the others bends the
+    centre line; the second one lies across the centre line.
 
     Parameters
     ----------
+    mesh : TriMesh
+        That of :func:`find_sinuses` [mm].
     sinuses : Sinuses
     below : float
         Distance of the first plane below ``lower``, in heights of the sinuses.
-    length : float, optional
-        Distance of the second plane from the first one along the centre line [mm]; beyond its end the line goes on straight.
+    upper : float, or (3,) float64, optional
+        Distance of the second plane from the first one along the centre line, beyond whose end the line goes on straight; or a point
+        of it [mm].
 
     Returns
     -------
     lower, upper : EndPlane
-        The second is None without a ``length``.
+        The second is None without ``upper``.
 
     Examples
     --------
+    >>> from ssmpipe.core.mesh.primitives import tube
     >>> line = np.column_stack([np.zeros(61), np.zeros(61), np.arange(61.0)])
     >>> found = Sinuses(first=True, lower=11.0, upper=25.0, junction=32.0, diameter=28.0, lobes=1.8, line=line)
-    >>> lower, upper = planes_at_sinuses(found, below=0.5, length=30.0)
-    >>> lower.point.round(6) + 0.0, lower.normal.round(6) + 0.0, upper.point.round(6) + 0.0
+    >>> lower, upper = planes_at_sinuses(tube(14.0, 60.0, 60, 60), found, below=0.5, upper=30.0)
+    >>> lower.point.round(6) + 0.0, lower.normal.round(3) + 0.0, upper.point.round(6) + 0.0
     (array([0., 0., 4.]), array([ 0.,  0., -1.]), array([ 0.,  0., 34.]))
     """
     at = sinuses.lower - below * sinuses.height
-    point, tangent = _on_longer_line(sinuses.line, at, sinuses.height)
-    lower = EndPlane(point, -tangent)
-    if length is None:
+    point, tangent = point_on_longer_line(sinuses.line, at, sinuses.height)
+    lower = plane_across(mesh, point, tangent, sinuses.diameter)
+    window = 0.5 * sinuses.diameter
+    if upper is None:
         return lower, None
-    return lower, EndPlane(*_on_longer_line(sinuses.line, at + length, 0.5 * sinuses.diameter))
-
-
-def _on_longer_line(line: Floats, at: float, window: float) -> tuple[Floats, Floats]:
-    """Return point and tangent at an arc length; near its ends, where the rims are ragged, and beyond, the line is straight."""
-    total = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
-    inside = float(np.clip(at, 0.35 * window, total - 0.35 * window))
-    point, tangent = point_on_line(line, inside, window)
-    return point + (at - inside) * tangent, tangent
-
-
-def _median_radius(mesh: TriMesh, rims: tuple[Ints, Ints]) -> float:
-    points = [mesh.vertices[rim] for rim in rims]
-    return float(np.median([np.median(np.linalg.norm(p - p.mean(axis=0), axis=1)) for p in points]))
+    if isinstance(upper, (float, int)):
+        return lower, EndPlane(*point_on_longer_line(sinuses.line, at + upper, window))
+    return lower, EndPlane(upper, point_on_longer_line(sinuses.line, place_on_line(sinuses.line, upper), window)[1])
 
 
 def _from_profile(profile: TubeProfile, radius: float, first: bool, line: Floats) -> Sinuses:

@@ -13,6 +13,8 @@ from scipy.sparse import csgraph
 from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.errors import TopologyError
 from ssmpipe.core.mesh.centre_line import centre_line
+from ssmpipe.core.mesh.distance import point_to_mesh
+from ssmpipe.core.mesh.narrowest_section import narrowest_section
 from ssmpipe.core.mesh.operators import edge_lengths, face_areas, face_normals, mean_edge_length
 from ssmpipe.core.mesh.topology import (
     boundary_loops,
@@ -23,7 +25,7 @@ from ssmpipe.core.mesh.topology import (
     unique_edges,
 )
 from ssmpipe.core.mesh.trimesh import TriMesh
-from ssmpipe.core.mesh.tube_profile import point_on_line
+from ssmpipe.core.mesh.tube_profile import place_on_line, point_on_line, point_on_longer_line
 from ssmpipe.core.repair.cleaning import separate_fans
 from ssmpipe.core.repair.extension import extend
 from ssmpipe.core.repair.trimming import cut_by_plane
@@ -92,8 +94,34 @@ def open_closed_end(mesh: TriMesh) -> TriMesh:
     return opened
 
 
+def opening_at(mesh: TriMesh, loops: Sequence[Ints], mark: Floats) -> int | None:
+    """Return which loop a mark in or on an opening means, or None if none lies within its own diameter of it.
+
+    Distances are those from the disc that the loop spans, so that a mark in the middle of a wide opening means that opening and no
+    small hole beside it.
+
+    Examples
+    --------
+    >>> from ssmpipe.core.mesh.primitives import tube
+    >>> pipe = tube(radius=2.0, height=10.0)
+    >>> low, high = boundary_loops(pipe.faces)
+    >>> opening_at(pipe, [low, high], np.array([0.5, 0, -1.0])), opening_at(pipe, [high], np.array([0, 0, 3.0])) is None
+    (0, True)
+    """
+    best, nearest = None, np.inf
+    for k, loop in enumerate(loops):
+        rim = mesh.vertices[loop]
+        middle = rim.mean(axis=0)
+        i = np.arange(len(rim))
+        disc = TriMesh(np.vstack([rim, middle]), np.column_stack([i, np.roll(i, -1), np.full(len(rim), len(rim))]))
+        distance = float(point_to_mesh(mark[None], disc)[0][0])
+        if distance < min(nearest, 2.0 * float(np.median(np.linalg.norm(rim - middle, axis=1)))):
+            best, nearest = k, distance
+    return best
+
+
 def openings(mesh: TriMesh, marks: Sequence[Floats | None]) -> tuple[Ints, Ints]:
-    """Return the two rims of a tube: those nearest to the marks, or the two longest loops, the longer one first.
+    """Return the two rims of a tube: those that the marks mean, else the longest loops, the longer one first.
 
     Raises
     ------
@@ -106,18 +134,13 @@ def openings(mesh: TriMesh, marks: Sequence[Floats | None]) -> tuple[Ints, Ints]
             f"the surface has {len(loops)} openings, a tube needs two", "check the topology of the scan"
         )
     loops = sorted(loops, key=lambda loop: -loop_length(mesh, loop))
-    near = [
-        None
-        if mark is None
-        else int(np.argmin([float(np.linalg.norm(mesh.vertices[loop] - mark, axis=1).min()) for loop in loops]))
-        for mark in marks
-    ]
-    if near[0] is not None and near[0] == near[1]:
+    meant = [None if mark is None else opening_at(mesh, loops, mark) for mark in marks]
+    if meant[0] is not None and meant[0] == meant[1]:
         raise TopologyError(
             "opening_1 and opening_2 lie at the same rim", "move one of the two landmarks to the other end"
         )
-    first = near[0] if near[0] is not None else int(near[1] == 0)
-    second = near[1] if near[1] is not None else int(first == 0)
+    first = meant[0] if meant[0] is not None else int(meant[1] == 0)
+    second = meant[1] if meant[1] is not None else int(first == 0)
     return loops[first], loops[second]
 
 
@@ -154,15 +177,38 @@ def planes_at_fractions(
 def planes_through_points(
     mesh: TriMesh, rims: tuple[Ints, Ints], points: Sequence[Floats]
 ) -> tuple[EndPlane, EndPlane]:
-    """Return planes across the centre line through two points, near the first and the second rim."""
+    """Return planes in the directions of :func:`plane_across` through two points, near the first and the second rim."""
     line = centre_line(mesh, *rims)
-    total = _length(line)
-    length = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))]
-    tangents = [
-        point_on_line(line, float(length[np.argmin(np.linalg.norm(line - point, axis=1))]), 0.05 * total)[1]
-        for point in points
-    ]
-    return EndPlane(np.asarray(points[0]), -tangents[0]), EndPlane(np.asarray(points[1]), tangents[1])
+    radius = median_radius(mesh, rims)
+    planes = []
+    for point, inward in ((points[0], line), (points[1], line[::-1])):
+        middle, tangent = point_on_longer_line(inward, place_on_line(inward, point), radius)
+        planes.append(EndPlane(np.asarray(point), plane_across(mesh, middle, tangent, 2.0 * radius).normal))
+    return planes[0], planes[1]
+
+
+def plane_across(mesh: TriMesh, point: Floats, inward: Floats, reach: float) -> EndPlane:
+    """Return the plane near an end that cuts a tube in the smallest section through a point of its centre line.
+
+    Where the scan ends before that, the plane lies across the centre line.
+
+    Parameters
+    ----------
+    mesh : TriMesh
+    point : (3,) float64
+    inward : (3,) float64
+        Direction of the centre line there, into the tube (unit).
+    reach : float
+        See :func:`.narrowest_section`; about a diameter [mm].
+    """
+    across = narrowest_section(mesh, point, inward, reach)
+    return EndPlane(point, -(inward if across is None else across))
+
+
+def median_radius(mesh: TriMesh, rims: tuple[Ints, Ints]) -> float:
+    """Return the median over both rims of how far their points lie from their middles, in the median [mm]."""
+    points = [mesh.vertices[rim] for rim in rims]
+    return float(np.median([np.median(np.linalg.norm(p - p.mean(axis=0), axis=1)) for p in points]))
 
 
 def trim_tube(

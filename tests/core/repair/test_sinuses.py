@@ -25,18 +25,18 @@ def test_the_ends_of_the_lobes_are_found_whatever_their_size(size, start, width)
     found = find_sinuses(mesh, rims(mesh))
     assert len(boundary_loops(mesh.faces)) == 2
     assert found.height == pytest.approx(2 * HALF, abs=0.7)
-    lower, upper = planes_at_sinuses(found, 0.35, 50.0)
+    lower, upper = planes_at_sinuses(mesh, found, 0.35, 50.0)
     assert lower.point == pytest.approx([0, 0, MIDDLE - 1.7 * HALF], abs=0.6)
     assert upper is not None
     assert (upper.point - lower.point)[2] == pytest.approx(50.0, abs=0.2)
     assert lower.normal == pytest.approx([0, 0, -1], abs=0.03)
     assert upper.normal == pytest.approx([0, 0, 1], abs=0.03)
-    assert planes_at_sinuses(found, 0.35, None)[1] is None
+    assert planes_at_sinuses(mesh, found, 0.35, None)[1] is None
 
 
 def test_a_scan_that_starts_inside_the_sinuses_is_continued_by_symmetry():
     mesh = aortic_root(3.0, start=MIDDLE - 5.0)
-    lower, _ = planes_at_sinuses(find_sinuses(mesh, rims(mesh)), 0.0, None)
+    lower, _ = planes_at_sinuses(mesh, find_sinuses(mesh, rims(mesh)), 0.0, None)
     assert lower.point[2] == pytest.approx(MIDDLE - HALF, abs=1.2)
 
 
@@ -46,8 +46,8 @@ def test_motion_and_order_move_the_planes_along():
     motion = random_motion(rng)
     other, _ = relabeled(move(mesh, motion), rng)
     for one, two in zip(
-        planes_at_sinuses(find_sinuses(mesh, rims(mesh)), 0.35, 40.0),
-        planes_at_sinuses(find_sinuses(other, rims(other)), 0.35, 40.0),
+        planes_at_sinuses(mesh, find_sinuses(mesh, rims(mesh)), 0.35, 40.0),
+        planes_at_sinuses(other, find_sinuses(other, rims(other)), 0.35, 40.0),
         strict=True,
     ):
         assert one is not None

@@ -82,6 +82,17 @@ def test_fractions_and_points_cut_across_the_centre_line():
         assert seen.max() == pytest.approx(135.0, abs=1.5)
 
 
+def test_planes_through_points_lie_across_a_tube_whose_rims_are_ragged_and_askew():
+    pipe = tube(10.0, 60.0, n_around=60, n_along=121)
+    x, y, z = pipe.vertices.T
+    askew = compact(pipe, ((z > 6.0 + 0.5 * x) & (z < 52.0 + 0.4 * y))[pipe.faces].all(axis=1))
+    points = [np.array([3.0, 0.0, 14.0]), np.array([0.0, 0.0, 46.0])]
+    low, high = planes_through_points(askew, openings(askew, [np.zeros(3), None]), points)
+    assert low.normal == pytest.approx([0, 0, -1], abs=1e-6)
+    assert high.normal == pytest.approx([0, 0, 1], abs=1e-6)
+    assert (low.point, high.point) == (pytest.approx(points[0]), pytest.approx(points[1]))
+
+
 def test_a_plane_that_meets_both_legs_cuts_its_own_end_only():
     mesh = arch()
     rims = openings(mesh, [np.array([BEND, 0, 0]), None])
