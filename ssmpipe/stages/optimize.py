@@ -15,7 +15,9 @@ from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.checkpoints import Checkpoints
 from ssmpipe.core.correspondence.choices import boundary_of, closes, normals_of, rims_of, start_of
 from ssmpipe.core.correspondence.correspondence import Correspondence
-from ssmpipe.core.correspondence.optimize import EngineOptions, Optimum, optimize_correspondence
+from ssmpipe.core.correspondence.optimize import optimize_correspondence
+from ssmpipe.core.correspondence.optimum import Optimum
+from ssmpipe.core.correspondence.options import EngineOptions
 from ssmpipe.core.correspondence.reparameterization import Boundary
 from ssmpipe.core.errors import ConfigError
 from ssmpipe.core.mesh.grid import grid_faces

@@ -10,7 +10,7 @@ import numpy as np
 
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.correspondence.choices import boundary_of, start_of
-from ssmpipe.core.correspondence.optimize import EngineOptions
+from ssmpipe.core.correspondence.options import EngineOptions
 from ssmpipe.core.model.remainder import LeaveOneOut, Remainder, fit_remainder, leave_one_out
 from ssmpipe.core.model.shape_model import ShapeModel
 from ssmpipe.runner.chain import optimize_options
