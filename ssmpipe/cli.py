@@ -14,7 +14,7 @@ import click
 from ssmpipe import __version__
 
 if TYPE_CHECKING:
-    from ssmpipe.runner.config import Project
+    from ssmpipe.runner.project import Project
     from ssmpipe.runner.registry import Registry
 
 PATH = click.Path(path_type=Path)
@@ -161,7 +161,7 @@ def _debug() -> bool:
 
 
 def _load(config: Path, overrides: tuple[str, ...] = ()) -> Project:
-    from ssmpipe.runner.config import load_project
+    from ssmpipe.runner.project import load_project
 
     return load_project(config, overrides, _registry())
 

@@ -16,12 +16,13 @@ from typing import Any
 from ssmpipe.core.errors import ConfigError, SsmpipeError
 from ssmpipe.runner.batch import COHORT, Batch, ClusterAddress, Failure, Job, Outcome
 from ssmpipe.runner.checkpoint import CheckpointFile
-from ssmpipe.runner.config import Project, RunConfig, require_address
+from ssmpipe.runner.config import RunConfig, require_address
 from ssmpipe.runner.console import Console
 from ssmpipe.runner.disk import DiskError, disk_errors, write_atomically
 from ssmpipe.runner.execute import TaskRecord, versions
 from ssmpipe.runner.lock import locked
 from ssmpipe.runner.plan import CHAIN, SCAN, PlannedStep, segments, select
+from ssmpipe.runner.project import Project
 from ssmpipe.runner.record import read_failures, run_record, write_failures
 from ssmpipe.runner.registry import REPORT
 from ssmpipe.runner.suggest import count, did_you_mean

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ssmpipe.core.errors import ConfigError
-from ssmpipe.runner.config import Project
 from ssmpipe.runner.lock import locked
+from ssmpipe.runner.project import Project
 from ssmpipe.runner.record import read_failures, run_record
 from ssmpipe.runner.registry import REPORT
 from ssmpipe.runner.run import for_report, machine, make_workspace, shortage, with_report

@@ -20,9 +20,9 @@ from ssmpipe.core.checkpoints import State
 from ssmpipe.io.splines import write_spline
 from ssmpipe.runner.batch import Job, run_job
 from ssmpipe.runner.checkpoint import FOLDER, CheckpointFile
-from ssmpipe.runner.config import Project, load_project
 from ssmpipe.runner.console import Console
 from ssmpipe.runner.manifest import Request
+from ssmpipe.runner.project import Project, load_project
 from ssmpipe.runner.registry import Registry
 from ssmpipe.runner.run import RunOptions, make_workspace, run_project
 from tests.support.cohorts import line_bumps

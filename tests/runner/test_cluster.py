@@ -11,8 +11,8 @@ import pytest
 
 from ssmpipe.core.errors import ConfigError
 from ssmpipe.runner.cluster import check_scheduler, is_loopback
-from ssmpipe.runner.config import Project
 from ssmpipe.runner.console import Console
+from ssmpipe.runner.project import Project
 from ssmpipe.runner.run import RunOptions, run_project, scheduler_of
 
 Load = Callable[..., Project]

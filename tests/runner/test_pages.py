@@ -11,10 +11,10 @@ import pytest
 
 from ssmpipe.core.errors import ArtifactError
 from ssmpipe.runner.batch import Batch, Closing, Failure, Job, Outcome
-from ssmpipe.runner.config import Project
 from ssmpipe.runner.console import Console
 from ssmpipe.runner.pages import report_step
 from ssmpipe.runner.patients import landmarks_of
+from ssmpipe.runner.project import Project
 from ssmpipe.runner.run import RunOptions, RunResult, make_workspace
 from ssmpipe.runner.sources import Source
 from ssmpipe.runner.status import rewrite_report

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from ssmpipe.core.errors import SsmpipeError
-from ssmpipe.runner.config import Project
+from ssmpipe.runner.project import Project
 from ssmpipe.runner.run import RunOptions, RunResult, dry_run
 from ssmpipe.runner.status import rewrite_report, status_of
 

@@ -18,13 +18,13 @@ import ssmpipe.runner.execute as execute
 from ssmpipe.core.errors import ConfigError, LandmarkError, SsmpipeError
 from ssmpipe.io.meshes import read_mesh, write_mesh
 from ssmpipe.runner.batch import Job, run_job
-from ssmpipe.runner.config import Project
 from ssmpipe.runner.console import Console
 from ssmpipe.runner.disk import DiskError
 from ssmpipe.runner.execute import run_task
 from ssmpipe.runner.lock import LockHeldError, locked
 from ssmpipe.runner.manifest import read_manifest
 from ssmpipe.runner.patience import ClusterLostError
+from ssmpipe.runner.project import Project
 from ssmpipe.runner.run import RunOptions, RunResult, dry_run, make_workspace, run_project
 from ssmpipe.runner.sources import check_landmarks
 from ssmpipe.runner.status import print_status, status_of
