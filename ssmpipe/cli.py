@@ -269,17 +269,19 @@ def run(
     with _errors(_debug()):
         project = _load(config, overrides)
     with _errors(_debug(), project.out):
-        from ssmpipe.runner import run as runner
         from ssmpipe.runner.console import Console
+        from ssmpipe.runner.dry_run import dry_run as forecast_of
+        from ssmpipe.runner.run import run_project
+        from ssmpipe.runner.run_options import RunOptions
 
-        options = runner.RunOptions(first, last, only, shapes, frozenset(force), jobs, part, executor, scheduler)
+        options = RunOptions(first, last, only, shapes, frozenset(force), jobs, part, executor, scheduler)
         console = Console(-1 if quiet else verbose)
         if dry_run:
             from ssmpipe.runner.status import print_forecast
 
-            print_forecast(runner.dry_run(project, options), project, console)
+            print_forecast(forecast_of(project, options), project, console)
             return
-        result = runner.run_project(project, options, console)
+        result = run_project(project, options, console)
         _summary(project, result, console)
     sys.exit(result.exit_code)
 

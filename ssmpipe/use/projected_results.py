@@ -9,8 +9,8 @@ from typing import Any
 from ssmpipe import __version__
 from ssmpipe.contract import Table
 from ssmpipe.runner.batch import Failure
+from ssmpipe.runner.exit_codes import INTERNAL, OK, QUARANTINED
 from ssmpipe.runner.fingerprint import file_digest
-from ssmpipe.runner.run import INTERNAL, OK, QUARANTINED
 from ssmpipe.runner.sources import Source
 from ssmpipe.runner.suggest import count
 from ssmpipe.use.completing import PARTIAL

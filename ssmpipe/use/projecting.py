@@ -20,11 +20,12 @@ from ssmpipe.runner.batch import Batch, Closing, Failure, Job, Outcome
 from ssmpipe.runner.chain import chain_as_steps, read_content
 from ssmpipe.runner.console import Console
 from ssmpipe.runner.disk import disk_errors, write_atomically
+from ssmpipe.runner.exit_codes import OK
 from ssmpipe.runner.lock import locked
+from ssmpipe.runner.machine import default_jobs
 from ssmpipe.runner.plan import Plan, make_plan
 from ssmpipe.runner.record import write_failures
 from ssmpipe.runner.registry import Registry
-from ssmpipe.runner.run import OK, SCRATCH, default_jobs
 from ssmpipe.runner.sources import (
     IMAGE_SUFFIXES,
     OUTLINE_SUFFIXES,
@@ -34,7 +35,7 @@ from ssmpipe.runner.sources import (
     find_sources,
     scan_files,
 )
-from ssmpipe.runner.workspace import Workspace
+from ssmpipe.runner.workspace import SCRATCH, Workspace
 from ssmpipe.use.model import Model
 from ssmpipe.use.projected_pages import index_of, page_path
 from ssmpipe.use.projected_results import ProjectResult, exit_code_of, line_of, record_of, scores_table

@@ -14,9 +14,11 @@ from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.io.meshes import write_mesh
 from ssmpipe.runner.config_problems import ConfigErrors
 from ssmpipe.runner.console import Console
+from ssmpipe.runner.dry_run import dry_run
 from ssmpipe.runner.project import Project, load_project
 from ssmpipe.runner.registry import BUILTIN, Registry
-from ssmpipe.runner.run import RunOptions, RunResult, run_project
+from ssmpipe.runner.run import RunResult, run_project
+from ssmpipe.runner.run_options import RunOptions
 
 TOY = Path(__file__).parent / "toy_stages"
 IDS = ("a", "b", "c", "d")
@@ -96,3 +98,7 @@ def problems(tmp_path: Path, scans: Path, registry: Registry) -> Callable[..., l
         return []
 
     return find
+
+
+def reasons(project: Project) -> dict[tuple[str, str], str]:
+    return {(f.step, f.shape): f.reason for f in dry_run(project, RunOptions())}
