@@ -23,7 +23,9 @@ from threadpoolctl import threadpool_limits
 
 from ssmpipe.core.baselines import cauchy, clamped_plate
 from ssmpipe.core.baselines.concatenation import Concatenation
-from ssmpipe.core.correspondence.optimize import EngineOptions, automatic_lambda_cut, optimize_correspondence
+from ssmpipe.core.correspondence.description_length import automatic_lambda_cut
+from ssmpipe.core.correspondence.optimize import optimize_correspondence
+from ssmpipe.core.correspondence.options import EngineOptions
 from ssmpipe.core.result import Result
 from ssmpipe.core.spline.evaluate import Spline
 from ssmpipe.core.spline.fit_curve import fit_curve

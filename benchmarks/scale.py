@@ -22,7 +22,8 @@ from ssmpipe.core.arrays import Floats
 from ssmpipe.core.correspondence.covariance import Spectrum, centred_spectrum
 from ssmpipe.core.correspondence.newcomer import FixedCohort, bring_in
 from ssmpipe.core.correspondence.objective import GroupObjective
-from ssmpipe.core.correspondence.optimize import EngineOptions, optimize_correspondence
+from ssmpipe.core.correspondence.optimize import optimize_correspondence
+from ssmpipe.core.correspondence.options import EngineOptions
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
 from ssmpipe.core.correspondence.spectral import spectral_function
 from ssmpipe.core.spline.evaluate import Spline, SplineStack

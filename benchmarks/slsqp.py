@@ -23,7 +23,8 @@ from benchmarks.common import LAMBDA_CUT, group_objective, head, moving_bumps
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.correspondence.barrier import Barrier
 from ssmpipe.core.correspondence.objective import GroupObjective
-from ssmpipe.core.correspondence.optimize import EngineOptions, Solver, optimize_correspondence
+from ssmpipe.core.correspondence.optimize import optimize_correspondence
+from ssmpipe.core.correspondence.options import EngineOptions, Solver
 from ssmpipe.core.spline.evaluate import Spline
 
 BARRIERS = (10.0, 1.0, 0.1, 0.01)

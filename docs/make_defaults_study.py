@@ -25,7 +25,8 @@ sys.path.insert(0, str(HERE))
 
 import study_cohorts  # noqa: E402
 
-from ssmpipe.core.correspondence.optimize import EngineOptions, optimize_correspondence  # noqa: E402
+from ssmpipe.core.correspondence.optimize import optimize_correspondence  # noqa: E402
+from ssmpipe.core.correspondence.options import EngineOptions  # noqa: E402
 from ssmpipe.core.correspondence.reparameterization import Reparameterization  # noqa: E402
 from ssmpipe.core.spline.evaluate import SplineStack  # noqa: E402
 

@@ -32,7 +32,9 @@ from study_cohorts import fitted  # noqa: E402
 
 from ssmpipe.core.correspondence.choices import boundary_of, start_of  # noqa: E402
 from ssmpipe.core.correspondence.newcomer import FixedCohort, bring_in  # noqa: E402
-from ssmpipe.core.correspondence.optimize import EngineOptions, Optimum, optimize_correspondence  # noqa: E402
+from ssmpipe.core.correspondence.optimize import optimize_correspondence  # noqa: E402
+from ssmpipe.core.correspondence.optimum import Optimum  # noqa: E402
+from ssmpipe.core.correspondence.options import EngineOptions  # noqa: E402
 from ssmpipe.core.evaluation.landmark_transfer import landmark_transfer  # noqa: E402
 from ssmpipe.core.evaluation.measures import generalization, specificity  # noqa: E402
 from ssmpipe.core.mesh.distance import point_to_mesh  # noqa: E402

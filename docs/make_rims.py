@@ -28,7 +28,9 @@ from study_cohorts import expert_error, fitted, run_to_fit  # noqa: E402
 
 from ssmpipe.core.correspondence.choices import boundary_of, rims_of, start_of  # noqa: E402
 from ssmpipe.core.correspondence.normals import DEFAULT_NORMALS  # noqa: E402
-from ssmpipe.core.correspondence.optimize import EngineOptions, Optimum, optimize_correspondence  # noqa: E402
+from ssmpipe.core.correspondence.optimize import optimize_correspondence  # noqa: E402
+from ssmpipe.core.correspondence.optimum import Optimum  # noqa: E402
+from ssmpipe.core.correspondence.options import EngineOptions  # noqa: E402
 from ssmpipe.core.mesh.distance import point_to_mesh  # noqa: E402
 from ssmpipe.core.mesh.grid import grid_faces  # noqa: E402
 from ssmpipe.core.mesh.trimesh import TriMesh  # noqa: E402

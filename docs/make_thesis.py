@@ -34,7 +34,8 @@ import thesis_figures  # noqa: E402
 
 from ssmpipe.core.correspondence.measure import landmark_rule  # noqa: E402
 from ssmpipe.core.correspondence.objective import GroupObjective  # noqa: E402
-from ssmpipe.core.correspondence.optimize import EngineOptions, optimize_correspondence  # noqa: E402
+from ssmpipe.core.correspondence.optimize import optimize_correspondence  # noqa: E402
+from ssmpipe.core.correspondence.options import EngineOptions  # noqa: E402
 from ssmpipe.core.correspondence.reparameterization import Reparameterization  # noqa: E402
 from ssmpipe.core.correspondence.spectral import spectral_function  # noqa: E402
 from ssmpipe.core.covariance import formulation_one, formulation_two  # noqa: E402

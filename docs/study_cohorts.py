@@ -13,7 +13,7 @@ import numpy as np
 from scipy.sparse.csgraph import dijkstra
 
 from ssmpipe.core.align.rigid import rigid_fit
-from ssmpipe.core.correspondence.optimize import automatic_lambda_cut
+from ssmpipe.core.correspondence.description_length import automatic_lambda_cut
 from ssmpipe.core.evaluation.correspondence_error import correspondence_error
 from ssmpipe.core.evaluation.landmark_transfer import landmark_transfer
 from ssmpipe.core.mesh.grid import grid_faces

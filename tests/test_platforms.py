@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from ssmpipe.runner import batch, disk, execute
-from ssmpipe.runner.run import default_jobs
+from ssmpipe.runner.machine import default_jobs
 from tests.support.toys import TOY, scans, write_config  # noqa: F401
 
 ELSEWHERE = """

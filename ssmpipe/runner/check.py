@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING, Any
 from ssmpipe.core.errors import SsmpipeError
 from ssmpipe.report.sides import unchecked_sides
 from ssmpipe.runner.batch import one_thread_environment, quiet_tracker, start_child
-from ssmpipe.runner.config import Project
 from ssmpipe.runner.disk import unwritable
 from ssmpipe.runner.estimate import estimate_plan
 from ssmpipe.runner.execute import rehearse
+from ssmpipe.runner.machine import default_jobs
 from ssmpipe.runner.plan import PlannedStep
 from ssmpipe.runner.presets import PRESETS
+from ssmpipe.runner.project import Project
 from ssmpipe.runner.record import resolved_config
 from ssmpipe.runner.registry import Registry
-from ssmpipe.runner.run import default_jobs
 from ssmpipe.runner.sources import PLAUSIBLE_MM, TO_MM, Source, check_landmarks, check_size, landmark_distances
 from ssmpipe.runner.suggest import count
 

@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from ssmpipe.core.errors import ConfigError, SsmpipeError
-from ssmpipe.runner.config import variant_stages
+from ssmpipe.runner.config_stages import variant_stages
 from ssmpipe.runner.disk import write_atomically
 from ssmpipe.runner.presets import Preset, find_preset
 from ssmpipe.runner.registry import Registry

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -11,12 +13,15 @@ from typing import TYPE_CHECKING, Any
 
 from ssmpipe.io.codecs import load_artifact
 from ssmpipe.runner.batch import Batch, Closing, Failure, Job, Outcome
+from ssmpipe.runner.console import Console
 from ssmpipe.runner.disk import disk_errors, write_atomically
 from ssmpipe.runner.fingerprint import digest, file_digest
+from ssmpipe.runner.machine import default_jobs
 from ssmpipe.runner.patients import FOLDER, PAGES, WrittenPages, landmarks_of, page_name, steps_of
 from ssmpipe.runner.plan import PlannedStep
+from ssmpipe.runner.project import Project
 from ssmpipe.runner.registry import REPORT
-from ssmpipe.runner.workspace import Workspace
+from ssmpipe.runner.workspace import SCRATCH, Workspace, make_workspace
 
 if TYPE_CHECKING:
     from ssmpipe.report.patient import PatientPage
@@ -220,3 +225,30 @@ def write_pages(
     kept = {i: request for i, request in requests.items() if i in files}
     write_atomically(folder / PAGES, WrittenPages(kept, files).text())
     return files
+
+
+@contextmanager
+def pages_batch(project: Project, scratch: Path, jobs: int | None, console: Console) -> Iterator[Batch]:
+    """Yield children of this machine for the pages of shapes, with the limits of the config."""
+    limits = project.config.limits
+    with Batch(
+        jobs=min(jobs or default_jobs(), max(1, len(project.sources))),
+        scratch=scratch,
+        timeout_s=limits.timeout_s,
+        memory_mb=limits.memory_mb,
+        on_event=console.event,
+    ) as batch:
+        yield batch
+
+
+@contextmanager
+def for_report(project: Project, jobs: int | None, console: Console) -> Iterator[tuple[Workspace, Batch]]:
+    """Yield workspace and children of a command that writes the report alone; their scratch folder goes afterwards."""
+    scratch = project.out / SCRATCH / "report"
+    try:
+        with pages_batch(project, scratch, jobs, console) as batch:
+            yield replace(make_workspace(project), scratch=scratch), batch
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+        with suppress(OSError):
+            scratch.parent.rmdir()  # unless a run left something there

@@ -11,11 +11,11 @@ from typing import Any
 from filelock import FileLock
 
 from ssmpipe.contract import Stage
-from ssmpipe.runner.config import Project
 from ssmpipe.runner.disk import disk_errors, write_atomically
 from ssmpipe.runner.execute import TIMING, TaskRecord, versions
 from ssmpipe.runner.fingerprint import VOLATILE
 from ssmpipe.runner.plan import PlannedStep
+from ssmpipe.runner.project import Project
 from ssmpipe.runner.workspace import Workspace
 
 FAILURES = "failures.json"

@@ -1,50 +1,35 @@
-"""A whole run: segments of the chain in order, failures set aside, records written; the one place that decides exit codes."""
+"""A whole run: segments of the chain in order, failures set aside, records written, exit code decided."""
 
 from __future__ import annotations
 
 import json
-import os
-import platform
 import shutil
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext, suppress
-from dataclasses import dataclass, field, replace
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ssmpipe.core.errors import ConfigError, SsmpipeError
 from ssmpipe.runner.batch import COHORT, Batch, ClusterAddress, Failure, Job, Outcome
 from ssmpipe.runner.checkpoint import CheckpointFile
-from ssmpipe.runner.config import Project, RunConfig, require_address
 from ssmpipe.runner.console import Console
 from ssmpipe.runner.disk import DiskError, disk_errors, write_atomically
 from ssmpipe.runner.execute import TaskRecord, versions
+from ssmpipe.runner.exit_codes import INTERNAL, OK, QUARANTINED
 from ssmpipe.runner.lock import locked
-from ssmpipe.runner.plan import CHAIN, SCAN, PlannedStep, segments, select
+from ssmpipe.runner.machine import default_jobs, machine
+from ssmpipe.runner.pages import pages_batch
+from ssmpipe.runner.plan import CHAIN, SCAN, PlannedStep, segments
+from ssmpipe.runner.project import Project
 from ssmpipe.runner.record import read_failures, run_record, write_failures
 from ssmpipe.runner.registry import REPORT
-from ssmpipe.runner.suggest import count, did_you_mean
-from ssmpipe.runner.workspace import Forecast, Workspace, forecast, prepare_members
-
-SCRATCH = ".work"
-MAX_JOBS = 8
-OK, INTERNAL, USAGE, QUARANTINED, IO_ERROR, LOCKED, INTERRUPTED = 0, 1, 2, 3, 74, 75, 130
-
-
-@dataclass(frozen=True)
-class RunOptions:
-    """What the command line of ``run`` says; ``forced`` is a set of step ids, or ``{"*"}`` for all."""
-
-    first: str | None = None
-    last: str | None = None
-    only: tuple[str, ...] = ()
-    shapes: tuple[str, ...] = ()
-    forced: frozenset[str] = frozenset()
-    jobs: int | None = None
-    part: tuple[int, int] | None = None
-    executor: str | None = None
-    scheduler: str | None = None
+from ssmpipe.runner.run_options import RunOptions, scheduler_of
+from ssmpipe.runner.selection import Selection, make_selection
+from ssmpipe.runner.shortage import shortage
+from ssmpipe.runner.suggest import count
+from ssmpipe.runner.workspace import forecast, make_workspace, prepare_members
 
 
 @dataclass
@@ -59,133 +44,6 @@ class RunResult:
     n_run: int = 0
     n_current: int = 0
     problem: str = ""
-
-
-def default_jobs() -> int:
-    """Return the number of processors that may be used, at most 8."""
-    try:
-        available = len(os.sched_getaffinity(0))
-    except AttributeError:
-        available = os.cpu_count() or 1
-    return max(1, min(available, MAX_JOBS))
-
-
-def make_workspace(project: Project, part: tuple[int, int] | None = None) -> Workspace:
-    """Return the workspace of a project's output folder."""
-    scratch = project.out / SCRATCH
-    if part is not None:
-        scratch = scratch / f"part-{part[0]}-of-{part[1]}"
-    return Workspace(project.out, project.plan, project.sources, project.config.seed, project.registry, scratch)
-
-
-@dataclass(frozen=True)
-class Selection:
-    """Steps and shapes of a run; ``partial`` when not all shapes are in it, and group stages therefore are not run."""
-
-    steps: tuple[PlannedStep, ...]
-    shapes: tuple[str, ...]
-    forced: frozenset[str]
-    partial: bool
-    dropped: tuple[str, ...]
-
-
-def make_selection(project: Project, options: RunOptions) -> Selection:
-    """Check names and select steps and shapes.
-
-    Raises
-    ------
-    ConfigError
-        If a step or shape does not exist, or options contradict each other.
-    """
-    names = [step.id for step in project.plan.steps]
-    asked = [n for n in (options.first, options.last, *options.only, *options.forced) if n and n != "*"]
-    for name in asked:
-        if name not in names:
-            raise ConfigError(f"there is no stage '{name}' in this chain{did_you_mean(name, names)}")
-    if options.only and (options.first or options.last):
-        raise ConfigError("--only cannot be combined with --from and --to")
-    steps = select(project.plan, first=options.first, last=options.last, only=options.only)
-    if not steps:
-        raise ConfigError(f"--from {options.first} --to {options.last} selects no stage", "swap them")
-    everyone = sorted(project.sources)
-    for shape in options.shapes:
-        if shape not in project.sources:
-            raise ConfigError(f"there is no shape '{shape}'{did_you_mean(shape, everyone)}")
-    shapes = [i for i in everyone if not options.shapes or i in options.shapes]
-    if options.part is not None:
-        number, total = options.part
-        if not 1 <= number <= total:
-            raise ConfigError(f"--part {number}/{total}: the first number must be between 1 and the second")
-        shapes = shapes[number - 1 :: total]
-    partial = options.part is not None or bool(options.shapes)
-    dropped = tuple(step.id for step in steps if step.scope == "cohort") if partial else ()
-    steps = tuple(step for step in steps if step.id not in dropped)
-    if not steps:
-        raise ConfigError("group stages need all shapes", "leave out --shape and --part")
-    forced = frozenset(s.id for s in steps) if "*" in options.forced else options.forced
-    return Selection(steps, tuple(shapes), forced, partial, dropped)
-
-
-def dry_run(project: Project, options: RunOptions) -> list[Forecast]:
-    """Return what a run would do, without touching the output folder."""
-    chosen = make_selection(project, options)
-    workspace = make_workspace(project)
-    ready = {s.id for s in chosen.steps if s.prepares and chosen.partial and workspace.prepared_is_usable(s)}
-    found = forecast(workspace, chosen.steps, chosen.shapes, chosen.forced, ready)
-    return with_report(project, workspace, found, force=REPORT in {project.plan.step(i).stage for i in chosen.forced})
-
-
-def with_report(
-    project: Project, workspace: Workspace, found: list[Forecast], *, force: bool = False
-) -> list[Forecast]:
-    """Return a forecast with what becomes of the report, when nothing before it would run."""
-    named = {item.step for item in found}
-    report = next((step for step in project.plan.steps if step.stage == REPORT and step.id in named), None)
-    if report is None or any(item.run for item in found if item.step != report.id):
-        return found
-    from ssmpipe.runner.reporting import report_decision
-
-    # what the report shows besides its inputs is known only here
-    record = run_record(project, workspace, read_failures(project.out), {}, {}, machine())
-    try:
-        decision = report_decision(workspace, report, record, force=force)
-    except SsmpipeError:  # a result is missing and not selected: the forecast says so
-        return found
-    return [Forecast(i.step, i.shape, decision.run, decision.reason) if i.step == report.id else i for i in found]
-
-
-def shortage(config: RunConfig, n_left: int, n_all: int) -> str:
-    """Return why the group stages cannot be run with the shapes that are left, and a remedy; empty when they can."""
-    left, mend = f"{n_left} of {n_all} shapes are left", "mend the shapes that failed"
-    if n_left < config.min_shapes:
-        lower = ", or lower min_shapes" if n_left >= 2 else ""
-        return f"{left}, at least {config.min_shapes} are needed (min_shapes); try: {mend}, add scans{lower}"
-    if n_all - n_left > config.max_failed_fraction * n_all:
-        share = f"more than {config.max_failed_fraction:g} failed (max_failed_fraction)"
-        return f"{left}, {share}; try: {mend}, take them out of input.scans, or raise max_failed_fraction"
-    return ""
-
-
-def scheduler_of(config: RunConfig, options: RunOptions) -> str | None:
-    """Return the scheduler of a run, the command line before the config; None for processes of this machine.
-
-    Raises
-    ------
-    ConfigError
-        If a scheduler is named that would not be used, or the name is none.
-    """
-    executor = options.executor or config.executor
-    if executor == "local":
-        if options.scheduler is not None:
-            raise ConfigError("--scheduler is used with --executor dask only", "add --executor dask")
-        return None
-    if options.scheduler is None:
-        return config.scheduler if isinstance(config.scheduler, str) else "slurm"
-    try:
-        require_address(options.scheduler)
-    except ValueError as error:
-        raise ConfigError(f"--scheduler: {error}") from None
-    return options.scheduler
 
 
 def run_project(project: Project, options: RunOptions, console: Console) -> RunResult:
@@ -592,40 +450,3 @@ class _Run:
         self.records[(step.id, None)] = task
         self.console.say(f"report: {'up to date' if task.status == 'up to date' else f'{task.seconds:.1f} s'}")
         return path
-
-
-@contextmanager
-def pages_batch(project: Project, scratch: Path, jobs: int | None, console: Console) -> Iterator[Batch]:
-    """Yield children of this machine for the pages of shapes, with the limits of the config."""
-    limits = project.config.limits
-    with Batch(
-        jobs=min(jobs or default_jobs(), max(1, len(project.sources))),
-        scratch=scratch,
-        timeout_s=limits.timeout_s,
-        memory_mb=limits.memory_mb,
-        on_event=console.event,
-    ) as batch:
-        yield batch
-
-
-@contextmanager
-def for_report(project: Project, jobs: int | None, console: Console) -> Iterator[tuple[Workspace, Batch]]:
-    """Yield workspace and children of a command that writes the report alone; their scratch folder goes afterwards."""
-    scratch = project.out / SCRATCH / "report"
-    try:
-        with pages_batch(project, scratch, jobs, console) as batch:
-            yield replace(make_workspace(project), scratch=scratch), batch
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
-        with suppress(OSError):
-            scratch.parent.rmdir()  # unless a run left something there
-
-
-def machine() -> dict[str, Any]:
-    """Return what the run was made on."""
-    return {
-        "system": platform.platform(),
-        "processor": platform.machine(),
-        "n_cpu": os.cpu_count(),
-        "host": platform.node(),
-    }

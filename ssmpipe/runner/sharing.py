@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from ssmpipe.core.errors import ConfigError
-from ssmpipe.runner.config import Project
 from ssmpipe.runner.console import Console
 from ssmpipe.runner.disk import disk_errors, write_atomically, write_bytes_atomically
 from ssmpipe.runner.lock import locked
-from ssmpipe.runner.pages import make_pages, results_of
+from ssmpipe.runner.machine import machine
+from ssmpipe.runner.pages import for_report, make_pages, results_of
 from ssmpipe.runner.patients import FOLDER, landmarks_of, page_name
+from ssmpipe.runner.project import Project
 from ssmpipe.runner.record import read_failures, report_record, run_record
 from ssmpipe.runner.registry import REPORT
-from ssmpipe.runner.run import for_report, machine
 
 if TYPE_CHECKING:
     from ssmpipe.report.build import Document

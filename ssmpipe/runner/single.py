@@ -29,7 +29,8 @@ from ssmpipe.io.images import IMAGE_SUFFIXES, read_image
 from ssmpipe.io.landmarks import read_landmarks
 from ssmpipe.io.meshes import MESH_SUFFIXES, read_mesh, write_mesh
 from ssmpipe.io.outlines import OUTLINE_SUFFIXES, read_outline, write_outline
-from ssmpipe.runner.config import InputConfig, explain
+from ssmpipe.runner.config import InputConfig
+from ssmpipe.runner.config_problems import explain
 from ssmpipe.runner.disk import disk_errors
 from ssmpipe.runner.document import parse_value
 from ssmpipe.runner.execute import failure_of, make_rng

@@ -10,13 +10,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ssmpipe.core.errors import ConfigError
-from ssmpipe.runner.config import Project
+from ssmpipe.runner.dry_run import with_report
 from ssmpipe.runner.lock import locked
+from ssmpipe.runner.machine import machine
+from ssmpipe.runner.pages import for_report
+from ssmpipe.runner.project import Project
 from ssmpipe.runner.record import read_failures, run_record
 from ssmpipe.runner.registry import REPORT
-from ssmpipe.runner.run import for_report, machine, make_workspace, shortage, with_report
+from ssmpipe.runner.shortage import shortage
 from ssmpipe.runner.suggest import count
-from ssmpipe.runner.workspace import Forecast, forecast
+from ssmpipe.runner.workspace import Forecast, forecast, make_workspace
 
 if TYPE_CHECKING:
     from ssmpipe.runner.console import Console

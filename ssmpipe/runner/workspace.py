@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ssmpipe.core.errors import SsmpipeError
 from ssmpipe.runner.fingerprint import digest
@@ -14,7 +14,11 @@ from ssmpipe.runner.plan import CHAIN, SCAN, Plan, PlannedStep, Producer
 from ssmpipe.runner.registry import Registry
 from ssmpipe.runner.sources import Source
 
+if TYPE_CHECKING:
+    from ssmpipe.runner.project import Project
+
 PREPARE = "prepare"
+SCRATCH = ".work"
 
 
 class NotMadeYetError(SsmpipeError):
@@ -266,3 +270,11 @@ def prepare_members(step: PlannedStep, ids: Sequence[str]) -> list[str]:
         if named in ids:
             return [str(named)]
     return list(ids)
+
+
+def make_workspace(project: Project, part: tuple[int, int] | None = None) -> Workspace:
+    """Return the workspace of a project's output folder; ``part`` (i, N) of a run has a scratch folder of its own."""
+    scratch = project.out / SCRATCH
+    if part is not None:
+        scratch = scratch / f"part-{part[0]}-of-{part[1]}"
+    return Workspace(project.out, project.plan, project.sources, project.config.seed, project.registry, scratch)

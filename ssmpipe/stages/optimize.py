@@ -11,30 +11,23 @@ import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from ssmpipe.contract import Context, Landmarks, NamesShape, Port, Stage, StageConfig, Table
-from ssmpipe.core.arrays import Floats, Ints
+from ssmpipe.core.arrays import Floats
 from ssmpipe.core.checkpoints import Checkpoints
 from ssmpipe.core.correspondence.choices import boundary_of, closes, normals_of, rims_of, start_of
-from ssmpipe.core.correspondence.correspondence import Correspondence
-from ssmpipe.core.correspondence.optimize import EngineOptions, Optimum, optimize_correspondence
+from ssmpipe.core.correspondence.optimize import optimize_correspondence
+from ssmpipe.core.correspondence.optimum import Optimum
+from ssmpipe.core.correspondence.options import EngineOptions
 from ssmpipe.core.correspondence.reparameterization import Boundary
 from ssmpipe.core.errors import ConfigError
-from ssmpipe.core.mesh.grid import grid_faces
-from ssmpipe.core.mesh.trimesh import TriMesh
-from ssmpipe.core.outline.outline import Outline
 from ssmpipe.core.spline.evaluate import Spline
-from ssmpipe.core.spline.poles import is_pole, surface_topology, tangent_plane
+from ssmpipe.core.spline.poles import surface_topology
 from ssmpipe.core.spline.surface import BSplineSurface
+from ssmpipe.stages._optimize_certificate import certificate_of, warn_of_poles
+from ssmpipe.stages._optimize_correspondence import corresponded_surfaces, correspondence_of
 
 _DEFAULT = EngineOptions()
 APART = 0.04
 """Rims that are kept and lie farther apart than this are worth a word [mean share of the parameter]; see docs/rims.md."""
-POLE_DEVIATION_DEG = 1e-6  # of control points from one plane through the pole: rounding
-
-
-_OPEN_RIMS = (
-    "rims are free: proved as well that D stays in the domain and is one-to-one, by a positive diagonal of its derivative (disk; Gale "
-    "and Nikaido 1965) or rims that are graphs over u and do not meet (tube, cone)"
-)
 
 
 class Config(StageConfig):
@@ -346,9 +339,9 @@ def run(
             "use optimize.form: bezier, or raise the last of optimize.barriers"
         )
     _tell_of_rims(optimum, ids, cfg, ctx)
-    correspondence = _correspondence(optimum, ids, topology, transform, options)
-    certificate = _certificate(optimum, ids, splines)
-    _warn_of_poles(certificate["shapes"], ctx)
+    correspondence = correspondence_of(optimum, ids, topology, transform, options)
+    certificate = certificate_of(optimum, ids, splines)
+    warn_of_poles(certificate["shapes"], ctx)
     history = {key: values.tolist() for key, values in result.history.items()}
     columns = {"iteration": [int(k) for k in history.pop("iteration")], "elapsed_s": elapsed, **history}
     comment = "description_length [nat], normals included, in the pose of the moment; elapsed_s is a timing and differs from run to run"
@@ -356,7 +349,7 @@ def run(
         "correspondence": correspondence,
         "certificate": certificate,
         "history": Table(columns, comment),
-        "corresponded": _corresponded(correspondence),
+        "corresponded": corresponded_surfaces(correspondence),
     }
 
 
@@ -378,20 +371,6 @@ def _tell_of_rims(optimum: Optimum, ids: tuple[str, ...], cfg: Config, ctx: Cont
         ctx.warn(
             f"the rims lie at different places ({100 * shift:.1f} % of the parameter on average, most for {farthest}: "
             f"{100 * optimum.rim_shifts.max():.1f} %); if they are cuts and no anatomy, use optimize.rims: free"
-        )
-
-
-def _warn_of_poles(shapes: dict[str, Any], ctx: Context) -> None:
-    """Name the shapes that have an edge at a pole, and those that fold there: each needs another remedy."""
-    refuted = {i: [p for p in one.get("poles", ()) if p["status"] != "proved"] for i, one in shapes.items()}
-    edges = [i for i, poles in refuted.items() if any(p["deviation_deg"] > POLE_DEVIATION_DEG for p in poles)]
-    folds = [i for i, poles in refuted.items() if poles and i not in edges]
-    if edges:
-        ctx.warn(f"the tangent plane at a pole of {', '.join(edges)} is not proved unique; use fit.seam: smooth")
-    if folds:
-        ctx.warn(
-            f"the surface of {', '.join(folds)} is not proved to run once around its pole, it may fold there; "
-            "use fewer control points (fit.n_control)"
         )
 
 
@@ -481,127 +460,6 @@ def _guides(
             f"one of: {', '.join(sorted(have)) or 'none were given'}",
         )
     return [{n: p for n, p in known[i].points.items() if n in names} if i in known else {} for i in ids]
-
-
-def _correspondence(
-    optimum: Optimum, ids: tuple[str, ...], topology: str, transform: dict[str, Floats], options: EngineOptions
-) -> Correspondence:
-    d = optimum.points.shape[2]
-    matrices = np.repeat(np.eye(4)[None], len(ids), axis=0)
-    matrices[:, :d, :d] = optimum.alignment.rotation
-    matrices[:, :d, 3] = optimum.alignment.translation
-    matrices = matrices @ np.stack([transform[i] for i in ids])
-    back = np.linalg.inv(matrices)
-
-    def to_scan(points: Floats) -> Floats:
-        return points @ np.swapaxes(back[:, :d, :d], 1, 2) + back[:, None, :d, 3]
-
-    grid = options.landmarks
-    closes = topology not in ("disk", "curve-open")
-    if closes and options.boundary != "periodic":
-        grid = (grid[0] - 1, *grid[1:])  # the seam stays, and is stored once all the same
-    poles = {end: topology == "closed" or (topology == "cone" and end == -1) for end in (0, -1)}
-    faces = np.empty((0, 3), dtype=np.int64)
-    if len(grid) == 2:
-        faces = grid_faces(*grid, periodic_u=closes, pole_start=poles[0], pole_end=poles[-1])
-
-    def stored(points: Floats) -> Floats:
-        kept = points[:, : int(np.prod(grid))].copy()
-        field = kept.reshape(len(kept), *grid, -1)
-        for end in (end for end, is_one in poles.items() if is_one and points.shape[2] == d):
-            field[:, :, end] = field[:, :1, end]  # one point to the bit
-        return kept
-
-    points, initial = stored(optimum.points), stored(optimum.initial_points)
-    return Correspondence(
-        ids=ids,
-        points=points,
-        points_scan=to_scan(points),
-        initial_points=initial,
-        initial_points_scan=to_scan(initial),
-        transform=matrices,
-        scale=optimum.alignment.scale,
-        parameters=optimum.parameters[:, : int(np.prod(grid))],
-        grid=grid,
-        faces=faces,
-        topology=topology,
-        reference=optimum.reference,
-        description_length=np.array(optimum.description_length),
-        lambda_cut=optimum.lambda_cut,
-        eigenvalues_initial=optimum.eigenvalues_initial,
-        eigenvalues=optimum.eigenvalues,
-        coefficients=optimum.coefficients,
-        window=optimum.window,
-        normals=stored(optimum.normals) if optimum.normals is not None else None,
-        normal_scale=optimum.normal_scale,
-    )
-
-
-def _corresponded(correspondence: Correspondence) -> dict[str, TriMesh | Outline]:
-    """Return one surface (or planar outline) per shape in scan coordinates.
-
-    Mirrored shapes get the same triangles, wound outward.
-    """
-    out: dict[str, TriMesh | Outline] = {}
-    planar = correspondence.points.shape[2] == 2
-    if len(correspondence.faces) == 0 and not planar:
-        return out
-    for i, points, matrix in zip(correspondence.ids, correspondence.points_scan, correspondence.transform, strict=True):
-        if planar:
-            out[i] = Outline(points, correspondence.topology == "curve-closed")
-            continue
-        mirrored = np.linalg.det(matrix[:3, :3]) < 0
-        faces: Ints = correspondence.faces[:, ::-1] if mirrored else correspondence.faces
-        out[i] = TriMesh(points, faces)
-    return out
-
-
-def _certificate(optimum: Optimum, ids: tuple[str, ...], splines: list[Spline]) -> dict[str, Any]:
-    method = "smallest Bernstein coefficient of det dD/du over the domain, bisected until proved or refuted, rounding included"
-    poles = {i: _poles(spline) for i, spline in zip(ids, splines, strict=True)}
-    out: dict[str, Any] = {
-        "quantity": "lower bound of det dD/du over the whole parameter domain",
-        "method": method,
-        **({"open_rims": _OPEN_RIMS} if optimum.window is not None else {}),
-        "all_proved": all(c.verdict == "proved" for c in optimum.certificates),
-        "shapes": {
-            i: {
-                "lower_bound": c.lower_bound,
-                "smallest_value_seen": c.upper_bound_of_minimum,
-                "status": c.verdict,
-                "subdivisions": c.n_subdivisions,
-                "method": method,
-                **({"poles": poles[i]} if poles[i] else {}),
-            }
-            for i, c in zip(ids, optimum.certificates, strict=True)
-        },
-    }
-    if any(poles.values()):
-        out["pole_condition"] = (
-            "the second row of control points lies in one plane through the pole (deviation_deg, at most 1e-6) and its curve turns "
-            "around the pole in one sense (winding: smallest Bernstein coefficient of its turning speed, 1 for an even circle); so "
-            "the fitted surface has one tangent plane there, and D, which keeps the edge of the square, does not change it"
-        )
-    return out
-
-
-def _poles(spline: Spline) -> list[dict[str, Any]]:
-    """Return the tangent-plane condition at each pole."""
-    if not isinstance(spline, BSplineSurface) or surface_topology(spline) == "disk":
-        return []
-    found = []
-    for end in (end for end in (0, -1) if is_pole(spline, end)):
-        plane = tangent_plane(spline, end)
-        found.append(
-            {
-                "v": 0 if end == 0 else 1,
-                "normal": plane.normal.tolist(),
-                "deviation_deg": plane.deviation_deg,
-                "winding": plane.winding,
-                "status": "proved" if plane.deviation_deg <= POLE_DEVIATION_DEG and plane.winding > 1e-9 else "refuted",
-            }
-        )
-    return found
 
 
 STAGE = Stage(

@@ -30,6 +30,7 @@ from ssmpipe.io.codecs import write_json
 from ssmpipe.io.mesh_formats import vtp
 from ssmpipe.io.meshes import write_mesh
 from ssmpipe.runner.disk import disk_errors
+from ssmpipe.use.distance_numbers import rank, summary
 
 PARTIAL = "partial"
 """In place of a certificate: a completed fragment has no parameterization of its own."""
@@ -232,21 +233,3 @@ def _mirrored(fragment: Fragment) -> bool | None:
         if step.get("stage") == "align" and options.get("chirality") == "best-fit":
             return None
     return False
-
-
-def rank(value: float, training: Floats) -> float:
-    """Return the share of shapes, this one among them, that are at least as far out: small for an unusual shape."""
-    return float((1 + np.count_nonzero(training >= value)) / (len(training) + 1))
-
-
-def summary(name: str, signed: Floats) -> dict[str, float]:
-    """Return mean, median, 95th percentile and largest size of signed distances, by name; NaN where there is none."""
-    if not len(signed):
-        return {f"{name}_{what}_mm": float("nan") for what in ("mean", "median", "p95", "max")}
-    size = np.abs(signed)
-    return {
-        f"{name}_mean_mm": float(size.mean()),
-        f"{name}_median_mm": float(np.median(size)),
-        f"{name}_p95_mm": float(np.percentile(size, 95)),
-        f"{name}_max_mm": float(size.max()),
-    }

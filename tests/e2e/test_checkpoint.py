@@ -20,11 +20,13 @@ from ssmpipe.core.checkpoints import State
 from ssmpipe.io.splines import write_spline
 from ssmpipe.runner.batch import Job, run_job
 from ssmpipe.runner.checkpoint import FOLDER, CheckpointFile
-from ssmpipe.runner.config import Project, load_project
 from ssmpipe.runner.console import Console
 from ssmpipe.runner.manifest import Request
+from ssmpipe.runner.project import Project, load_project
 from ssmpipe.runner.registry import Registry
-from ssmpipe.runner.run import RunOptions, make_workspace, run_project
+from ssmpipe.runner.run import run_project
+from ssmpipe.runner.run_options import RunOptions
+from ssmpipe.runner.workspace import make_workspace
 from tests.support.cohorts import line_bumps
 from tests.support.surfaces import bumps
 

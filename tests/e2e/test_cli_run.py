@@ -19,8 +19,8 @@ from click.testing import CliRunner, Result
 from ssmpipe.cli import main
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.io.meshes import write_mesh
-from ssmpipe.runner.config import load_project
 from ssmpipe.runner.lock import locked
+from ssmpipe.runner.project import load_project
 from tests.support.toys import TOY, tetrahedron
 
 Call = Callable[..., Result]
@@ -147,7 +147,7 @@ def test_output_that_is_a_file_gives_74(call: Call, config: Path) -> None:
 
 
 def test_internal_error_gives_1(call: Call, config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import ssmpipe.runner.config as module
+    import ssmpipe.runner.project as module
 
     monkeypatch.setattr(module, "make_plan", lambda *_: 1 / 0)
     result = call("run", config)

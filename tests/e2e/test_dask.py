@@ -16,9 +16,10 @@ import pytest
 from ssmpipe.io.splines import write_spline
 from ssmpipe.runner import dask_engine
 from ssmpipe.runner.cluster import slurm_cluster
-from ssmpipe.runner.config import Project, SlurmConfig
+from ssmpipe.runner.config import SlurmConfig
 from ssmpipe.runner.dask_engine import DaskEngine
 from ssmpipe.runner.patience import ClusterLostError
+from ssmpipe.runner.project import Project
 from tests.support.engines import Killing, optimized
 from tests.support.surfaces import bumps
 from tests.support.toys import TOY

@@ -11,9 +11,10 @@ import pytest
 from ssmpipe.core.align.rigid import apply, reflection
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.io.meshes import read_mesh, write_mesh
-from ssmpipe.runner.config import load_project
 from ssmpipe.runner.console import Console
-from ssmpipe.runner.run import RunOptions, run_project
+from ssmpipe.runner.project import load_project
+from ssmpipe.runner.run import run_project
+from ssmpipe.runner.run_options import RunOptions
 from tests.support.meshes import random_motion, relabeled
 
 COHORT = Path(__file__).resolve().parents[2] / "data_synthetic" / "femur_distal"

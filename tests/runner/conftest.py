@@ -1,3 +1,3 @@
-from tests.support.toys import project, registry, run, scans, write_config
+from tests.support.toys import problems, project, registry, run, scans, write_config
 
-__all__ = ["project", "registry", "run", "scans", "write_config"]
+__all__ = ["problems", "project", "registry", "run", "scans", "write_config"]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ssmpipe.runner.config import load_project
+from ssmpipe.runner.project import load_project
 from ssmpipe.runner.registry import Registry
 
 HEAD = "name: t\ninput: {scans: scans, cohort: cohort.csv}\noutput: out\n"

@@ -17,9 +17,10 @@ import pytest
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.io.meshes import write_mesh
 from ssmpipe.runner.check import ScanCheck, check_output, check_project, inspect, print_checks
-from ssmpipe.runner.config import Project
 from ssmpipe.runner.console import Console
-from ssmpipe.runner.run import RunOptions, RunResult
+from ssmpipe.runner.project import Project
+from ssmpipe.runner.run import RunResult
+from ssmpipe.runner.run_options import RunOptions
 from tests.support.toys import tetrahedron
 
 Load = Callable[..., Project]

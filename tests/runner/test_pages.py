@@ -11,14 +11,15 @@ import pytest
 
 from ssmpipe.core.errors import ArtifactError
 from ssmpipe.runner.batch import Batch, Closing, Failure, Job, Outcome
-from ssmpipe.runner.config import Project
 from ssmpipe.runner.console import Console
 from ssmpipe.runner.pages import report_step
 from ssmpipe.runner.patients import landmarks_of
-from ssmpipe.runner.run import RunOptions, RunResult, make_workspace
+from ssmpipe.runner.project import Project
+from ssmpipe.runner.run import RunResult
+from ssmpipe.runner.run_options import RunOptions
 from ssmpipe.runner.sources import Source
 from ssmpipe.runner.status import rewrite_report
-from ssmpipe.runner.workspace import Workspace
+from ssmpipe.runner.workspace import Workspace, make_workspace
 from tests.support.small_run import small_run
 
 CHAIN = ["grow", "shift", "results", "report"]

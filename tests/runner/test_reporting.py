@@ -7,8 +7,10 @@ from typing import Any
 import pytest
 
 from ssmpipe.core.errors import SsmpipeError
-from ssmpipe.runner.config import Project
-from ssmpipe.runner.run import RunOptions, RunResult, dry_run
+from ssmpipe.runner.dry_run import dry_run
+from ssmpipe.runner.project import Project
+from ssmpipe.runner.run import RunResult
+from ssmpipe.runner.run_options import RunOptions
 from ssmpipe.runner.status import rewrite_report, status_of
 
 CHAIN = ["grow", "shift", "results", "report"]

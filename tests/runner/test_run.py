@@ -18,17 +18,19 @@ import ssmpipe.runner.execute as execute
 from ssmpipe.core.errors import ConfigError, LandmarkError, SsmpipeError
 from ssmpipe.io.meshes import read_mesh, write_mesh
 from ssmpipe.runner.batch import Job, run_job
-from ssmpipe.runner.config import Project
 from ssmpipe.runner.console import Console
 from ssmpipe.runner.disk import DiskError
 from ssmpipe.runner.execute import run_task
 from ssmpipe.runner.lock import LockHeldError, locked
 from ssmpipe.runner.manifest import read_manifest
 from ssmpipe.runner.patience import ClusterLostError
-from ssmpipe.runner.run import RunOptions, RunResult, dry_run, make_workspace, run_project
+from ssmpipe.runner.project import Project
+from ssmpipe.runner.run import RunResult, run_project
+from ssmpipe.runner.run_options import RunOptions
 from ssmpipe.runner.sources import check_landmarks
 from ssmpipe.runner.status import print_status, status_of
-from tests.support.toys import TOY, tetrahedron
+from ssmpipe.runner.workspace import make_workspace
+from tests.support.toys import TOY, reasons, tetrahedron
 
 Load = Callable[..., Project]
 Run = Callable[..., RunResult]
@@ -42,10 +44,6 @@ def tree(out: Path) -> dict[str, bytes]:
         for p in sorted(out.rglob("*"))
         if p.is_file() and p.name not in skip and ".work" not in p.parts
     }
-
-
-def reasons(project: Project) -> dict[tuple[str, str], str]:
-    return {(f.step, f.shape): f.reason for f in dry_run(project, RunOptions())}
 
 
 def entries(out: Path) -> dict[tuple[str, str], dict[str, Any]]:
@@ -111,27 +109,6 @@ def test_same_output_spares_what_comes_after(run: Run, project: Load, tmp_path: 
     result = run("stages.grow.note=x")
     assert (result.n_run, result.n_current) == (4, 5)
     assert {i for (step, i), t in entries(tmp_path / "out").items() if t["status"] == "done"} == {"a", "b", "c", "d"}
-
-
-def test_every_reason_in_a_dry_run(run: Run, project: Load, tmp_path: Path, scans: Path) -> None:
-    everything = reasons(project())
-    assert set(everything.values()) == {"first run"}
-    assert not (tmp_path / "out").exists()
-    run()
-    assert set(reasons(project()).values()) == {"up to date"}
-    out = tmp_path / "out"
-    (out / "shapes/a/01-grow/mesh.ply").unlink()
-    write_mesh(out / "shapes/b/01-grow/mesh.ply", tetrahedron(99))
-    write_mesh(scans / "c.ply", tetrahedron(50))
-    found = reasons(project())
-    assert found["grow", "a"] == "output missing: mesh.ply"
-    assert found["grow", "b"] == "output modified: mesh.ply"
-    assert found["grow", "c"] == "input changed: mesh"
-    assert found["grow", "d"] == "up to date"
-    assert found["shift", "d"].startswith("input may change: reference")
-    assert reasons(project("seed=1"))["grow", "d"] == "seed changed: 0 -> 1"
-    forced = dry_run(project(), RunOptions(forced=frozenset({"grow"}), shapes=("d",)))
-    assert forced[0].reason == "forced"
 
 
 def test_version_change_reruns(run: Run, project: Load) -> None:
@@ -521,17 +498,6 @@ def test_failed_shape_stays_out_of_a_later_group_stage(run: Run, tmp_path: Path)
     assert result.exit_code == 0
     assert read_manifest(tmp_path / "out/cohort/total").metrics == {"n_shapes": 3}  # type: ignore[union-attr]
     assert set(json.loads((tmp_path / "out/failures.json").read_text())) == {"a"}
-
-
-def test_selection_problems(run: Run) -> None:
-    with pytest.raises(ConfigError, match="no stage 'growth' in this chain; did you mean 'grow'"):
-        run(options=RunOptions(first="growth"))
-    with pytest.raises(ConfigError, match="no shape 'e'"):
-        run(options=RunOptions(shapes=("e",)))
-    with pytest.raises(ConfigError, match="group stages need all shapes"):
-        run(options=RunOptions(shapes=("a",), only=("total",)))
-    with pytest.raises(ConfigError, match="selects no stage"):
-        run(options=RunOptions(first="total", last="grow"))
 
 
 def test_renumbered_folders_are_kept(run: Run, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from ssmpipe.core.errors import ConfigError, SsmpipeError
 from ssmpipe.runner import disk
-from ssmpipe.runner.config import Project
+from ssmpipe.runner.project import Project
 from ssmpipe.runner.run import RunResult
 from ssmpipe.runner.sharing import _names, share_report
 

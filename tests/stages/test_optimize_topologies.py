@@ -124,21 +124,6 @@ def test_an_edge_at_the_pole_is_told():
     assert "one plane through the pole" in made["certificate"]["pole_condition"]
 
 
-def test_a_fold_at_a_pole_has_another_remedy_than_an_edge():
-    def pole(status, deviation):
-        return {"poles": [{"v": 0, "deviation_deg": deviation, "winding": 0.6, "status": status}]}
-
-    ctx = Context("cohort", np.random.default_rng(0), logging.getLogger("test"))
-    shapes = {"fine": pole("proved", 0.0), "edge": pole("refuted", 2.0), "fold": pole("refuted", 1e-13), "disk": {}}
-    optimize._warn_of_poles(shapes, ctx)
-    edge, fold = ctx.warnings
-    assert "of edge is" in edge
-    assert "fit.seam: smooth" in edge
-    assert "of fold is" in fold
-    assert "fit.n_control" in fold
-    assert "seam" not in fold
-
-
 def test_what_cannot_be_compared_is_refused():
     surfaces = {"a": wrapped("tube", n=12), "b": wrapped("cone", n=12)}
     transform = {i: np.eye(4) for i in surfaces}

@@ -7,7 +7,9 @@ import signal
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from ssmpipe.core.correspondence.optimize import EngineOptions, Optimum, optimize_correspondence
+from ssmpipe.core.correspondence.optimize import optimize_correspondence
+from ssmpipe.core.correspondence.optimum import Optimum
+from ssmpipe.core.correspondence.options import EngineOptions
 from ssmpipe.core.engine import Arrays, Content, Engine
 from ssmpipe.core.result import Result
 from tests.support.surfaces import bumps

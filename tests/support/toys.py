@@ -12,13 +12,25 @@ from ruamel.yaml import YAML
 
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.io.meshes import write_mesh
-from ssmpipe.runner.config import Project, load_project
+from ssmpipe.runner.config_problems import ConfigErrors
 from ssmpipe.runner.console import Console
+from ssmpipe.runner.dry_run import dry_run
+from ssmpipe.runner.project import Project, load_project
 from ssmpipe.runner.registry import BUILTIN, Registry
-from ssmpipe.runner.run import RunOptions, RunResult, run_project
+from ssmpipe.runner.run import RunResult, run_project
+from ssmpipe.runner.run_options import RunOptions
 
 TOY = Path(__file__).parent / "toy_stages"
 IDS = ("a", "b", "c", "d")
+GOOD = """\
+name: toys
+input:
+  scans: scans
+output: out
+stages:
+  - grow: {factor: 3}
+  - total
+"""
 
 
 def tetrahedron(size: float = 10.0, at: float = 0.0) -> TriMesh:
@@ -72,3 +84,21 @@ def run(project: Callable[..., Project]) -> Callable[..., RunResult]:
         return run_project(project(*overrides, **changes), options or RunOptions(jobs=2), Console(-1))
 
     return go
+
+
+@pytest.fixture
+def problems(tmp_path: Path, scans: Path, registry: Registry) -> Callable[..., list[str]]:
+    def find(text: str, *overrides: str) -> list[str]:
+        path = tmp_path / "c.yaml"
+        path.write_text(text)
+        try:
+            load_project(path, overrides, registry)
+        except ConfigErrors as error:
+            return [p.replace(str(tmp_path) + "/", "") for p in error.problems]
+        return []
+
+    return find
+
+
+def reasons(project: Project) -> dict[tuple[str, str], str]:
+    return {(f.step, f.shape): f.reason for f in dry_run(project, RunOptions())}

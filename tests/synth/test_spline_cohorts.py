@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ssmpipe.core.correspondence.optimize import EngineOptions, optimize_correspondence
+from ssmpipe.core.correspondence.optimize import optimize_correspondence
+from ssmpipe.core.correspondence.options import EngineOptions
 from ssmpipe.core.errors import ConfigError
 from ssmpipe.core.model.pca import principal_components
 from ssmpipe.core.spline.fit_curve import curve_points

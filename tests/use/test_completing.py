@@ -20,7 +20,7 @@ from ssmpipe.io.arrays import read_npz
 from ssmpipe.io.meshes import read_mesh, write_mesh
 from ssmpipe.io.models import write_model
 from ssmpipe.use.completing import Fragment, _best_image, _filled
-from ssmpipe.use.projecting import ProjectResult, exit_code_of
+from ssmpipe.use.projected_results import ProjectResult, exit_code_of
 from tests.core.model.test_completion import fragment, setting
 from tests.support.eggs import ssmpipe
 

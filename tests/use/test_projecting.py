@@ -6,20 +6,14 @@ import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from ssmpipe.core.correspondence.window import Window
-from ssmpipe.core.mesh.trimesh import TriMesh
-from ssmpipe.core.model.shape_model import Chain, ShapeModel
+from ssmpipe.core.model.shape_model import Chain
 from ssmpipe.io.arrays import read_npz, write_npz
 from ssmpipe.io.models import read_model, write_model
-from ssmpipe.use.projecting import Projection, engine_options
 from tests.support.eggs import model_of_eggs, ssmpipe, write_eggs
-from tests.support.small_run import grid_faces
 
 
 @pytest.fixture(scope="module")
@@ -118,30 +112,6 @@ def test_numbers_and_files_agree(result: Path, projected: Path) -> None:
     assert float(row["to_scan_mean_mm"]) <= float(row["to_scan_p95_mm"]) <= float(row["to_scan_max_mm"])
 
 
-def test_what_the_model_does_not_cover_is_no_distance() -> None:
-    """A scan three times as long as the model, 1 mm above it; only where the rims are free does the rest not count."""
-
-    def plate(width: int, height: float) -> TriMesh:
-        x, y = np.meshgrid(np.arange(width + 1.0), np.arange(5.0), indexing="ij")
-        return TriMesh(np.stack([x, y, np.full_like(x, height)], axis=-1).reshape(-1, 3), grid_faces(width + 1, 5))
-
-    model, scan = plate(4, 0.0), plate(12, 1.0)
-
-    def of(window: Window | None) -> Projection:
-        target = SimpleNamespace(model=SimpleNamespace(window=window, faces=model.faces, topology="disk"))
-        return Projection(
-            cast(Any, target), model.vertices, *np.zeros((3, 1)), model.vertices, np.eye(4), scan, cast(Any, None)
-        )
-
-    free, kept = of(Window((0.0, 0.0), (1.0, 0.5))), of(None)
-    assert kept.covered().all()
-    assert np.abs(kept.distances()[1]).max() > 8
-    inside = (scan.vertices[:, 0] < 4) & (np.abs(scan.vertices[:, 1] - 2) < 2)
-    assert free.covered()[inside & (scan.vertices[:, 0] > 0)].all()
-    assert not free.covered()[scan.vertices[:, 0] > 4].any()
-    assert np.abs(free.distances()[1]).max() == pytest.approx(1)
-
-
 def test_corresponded_points_lie_on_the_scan(strangers: Path, projected: Path) -> None:
     from ssmpipe.core.outline.distance import point_to_segments
     from ssmpipe.io.outlines import read_outline
@@ -208,18 +178,6 @@ def test_what_cannot_be_projected_is_refused_before_any_work(result: Path, stran
     assert code == 2
     assert "model.npz does not carry the chain" in text
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(("rims", "start"), [("free", "affine"), ("kept", "identity")])
-def test_a_scan_starts_as_the_group_did(rims: str, start: str) -> None:
-    """Free rims are found by a registration whatever the size is; the identity says nothing of where they are."""
-    none, window = np.zeros((2, 0)), Window((0.0, 0.1), (1.0, 0.9)) if rims == "free" else None
-    faces = np.array([[0, 1, 2]])
-    model = ShapeModel(("a", "b"), np.eye(3), np.zeros((0, 3, 3)), none[0], none, (3, 1), faces, "tube", 1.0, window)
-    given = {"rims": rims, "start": "auto", "normalize": "size", "reference": "nearest-to-mean"}
-    options = engine_options(model, {"steps": [{"stage": "optimize", "options": given}]})
-    assert options.start == start
-    assert options.window == window
 
 
 def test_a_changed_stage_is_told(result: Path, strangers: Path, tmp_path: Path) -> None:

@@ -40,3 +40,24 @@ def description_length_slope(eigenvalues: Floats, lambda_cut: float) -> Floats:
     array([0.25, 1.  ])
     """
     return np.asarray(1.0 / np.maximum(eigenvalues, lambda_cut), dtype=np.float64)
+
+
+def automatic_lambda_cut(size: float) -> float:
+    """Return the threshold ``(size / 1000)^2``: variation below a thousandth of the size counts as noise.
+
+    Parameters
+    ----------
+    size : float
+        Root mean square distance of the mean shape's points from their centroid [mm].
+
+    Returns
+    -------
+    float
+        [mm^2]. The printed rule [1.13] of the thesis is not a squared length and changes with the landmark density.
+
+    Examples
+    --------
+    >>> automatic_lambda_cut(40.0)
+    0.0016
+    """
+    return (size / 1000.0) ** 2

@@ -19,7 +19,7 @@ from ssmpipe.core.correspondence.inequalities import Inequalities, centred_where
 from ssmpipe.core.correspondence.jacobian import JacobianForm, largest_feasible_step
 from ssmpipe.core.correspondence.measure import grid_size_weights, grid_tangents
 from ssmpipe.core.correspondence.normals import NormalFields, carried
-from ssmpipe.core.correspondence.optimize import EngineOptions
+from ssmpipe.core.correspondence.options import EngineOptions
 from ssmpipe.core.correspondence.prior import bending_matrix
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
 from ssmpipe.core.correspondence.spectral import SpectralFunction, spectral_function

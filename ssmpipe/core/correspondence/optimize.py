@@ -3,49 +3,47 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 
-from ssmpipe.core.align.affine import affine_to_mean
-from ssmpipe.core.align.procrustes import Alignment, generalized_procrustes
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.checkpoints import Checkpoints
 from ssmpipe.core.correspondence.affine_start import affine_start, turned_identity, without_folds
-from ssmpipe.core.correspondence.barrier import Aggregate, Barrier
-from ssmpipe.core.correspondence.certificate import Certificate, certify
-from ssmpipe.core.correspondence.direction import apply_directions, components_first, components_last
+from ssmpipe.core.correspondence.barrier import Barrier
+from ssmpipe.core.correspondence.certificate import certify
+from ssmpipe.core.correspondence.coarse_to_fine import coarser_spaces, refined
+from ssmpipe.core.correspondence.description_length import automatic_lambda_cut
 from ssmpipe.core.correspondence.exact_rule import ExactRule
 from ssmpipe.core.correspondence.gauss_newton import FACTORED_UNKNOWNS
+from ssmpipe.core.correspondence.guide_places import GuidePlaces
 from ssmpipe.core.correspondence.guides import Guides
 from ssmpipe.core.correspondence.interpolation import Interpolation
-from ssmpipe.core.correspondence.jacobian import Jacobian, JacobianForm
+from ssmpipe.core.correspondence.jacobian import Jacobian
 from ssmpipe.core.correspondence.journal import Journal
-from ssmpipe.core.correspondence.measure import Quadrature, grid_size_weights, landmark_rule
+from ssmpipe.core.correspondence.measure import Quadrature, landmark_rule
 from ssmpipe.core.correspondence.normals import NormalFields
-from ssmpipe.core.correspondence.objective import Covariance, GroupObjective
+from ssmpipe.core.correspondence.objective import GroupObjective
 from ssmpipe.core.correspondence.open_rims import Registered, register_reference
-from ssmpipe.core.correspondence.reparameterization import Boundary, Reparameterization
+from ssmpipe.core.correspondence.optimum import Optimum
+from ssmpipe.core.correspondence.options import EngineOptions
+from ssmpipe.core.correspondence.pose import Pose
+from ssmpipe.core.correspondence.recorder import Recorder
+from ssmpipe.core.correspondence.reparameterization import Reparameterization
 from ssmpipe.core.correspondence.rows import RowSums, automatic_blocks
 from ssmpipe.core.correspondence.sensitivity import direct_gradient, finite_difference_gradient
-from ssmpipe.core.correspondence.spectral import Objective, spectral_function
+from ssmpipe.core.correspondence.spectral import spectral_function
 from ssmpipe.core.correspondence.turns import starting_turns
-from ssmpipe.core.correspondence.window import Window
 from ssmpipe.core.engine import Engine
 from ssmpipe.core.errors import FoldoverError, GeometryError, LandmarkError
 from ssmpipe.core.optim.interior import DescentOptions
 from ssmpipe.core.result import Result, Status
 from ssmpipe.core.spline.curve import BSplineCurve
 from ssmpipe.core.spline.evaluate import Spline, SplineStack
-from ssmpipe.core.spline.project import nearest_parameters
 
-Normalization = Literal["none", "size", "affine"]
-Solver = Literal["auto", "newton", "quasi-newton"]
-Rims = Literal["kept", "free"]
-Sensitivity = Literal["adjoint", "direct", "finite-difference"]
 _REFINED = ("refined", "each-evaluation")
 _HINTED = 100
 """Cohorts up to this size are told how far their rims lie apart where rims are kept."""
@@ -55,201 +53,6 @@ _EARLY_DECREASE = 1e-4
 _ELIMINATING = 1e4
 """Guides that are held weigh so many times their weight in the preconditioner, which then nearly eliminates their conditions."""
 _SLOW = {"direct": direct_gradient, "finite-difference": finite_difference_gradient}
-
-
-@dataclass(frozen=True)
-class EngineOptions:
-    """Choices of the group optimization. The defaults come from the study in the docs, but for ``normals``: the stage weighs them.
-
-    Parameters
-    ----------
-    n_coefficients : tuple of int
-        Coefficients of every ``D_i`` per direction; one number for curves, two for surfaces.
-    landmarks : tuple of int
-        Landmark grid.
-    degree : int
-        Of ``D``.
-    boundary : {"fixed", "sliding", "periodic"}
-    rims : {"kept", "free"}
-        ``kept``: rims correspond to rims. ``free``: rims are cuts, anywhere; the model covers what all shapes have
-        (:mod:`.open_rims`), all shapes move and the mean of the maps stays where the start put it.
-    open_edges : tuple of (direction, end)
-        The rims: edges of the square that are neither seam nor pole, end 0 or -1. Given for ``kept`` too, the result tells how far
-        rims lie apart.
-    max_crop : float
-        Farthest that ``free`` moves a rim of the reference inward [share of the parameter].
-    window : Window or None
-        What a model with free rims covers, for one more shape; found by the group optimization.
-    covariance : {"discrete", "I", "II"}
-        Equal weights; integral over the domain; integral over the mean shape, with exact gradient.
-    quadrature : {"grid", "midpoint", "gauss", "closed-form"}
-        Where the landmarks of the objective lie; ``discrete`` always takes the grid. ``closed-form``: the integral itself, for
-        curves and covariance ``I`` (:class:`ExactRule`).
-    objective : {"description-length", "log-determinant", "trace"}
-    normals : float
-        Weight of unit normals (curves: tangents) beside positions, in :meth:`.NormalFields.spread`; 0 is the objective of the thesis.
-    lambda_cut : float or None
-        Threshold of the description length [mm^2]; None for the rule of :func:`automatic_lambda_cut`.
-    pose : {"refined", "procrustes", "keep", "each-evaluation"}
-        ``keep``: as given. ``procrustes``: refined once before the optimization, from the initial correspondence.
-        ``refined``: as given first, then refined from the optimized correspondence, ``pose_rounds`` times.
-        ``each-evaluation``: the same, and inside every evaluation the landmarks of every shape are moved rigidly to the
-        round's mean shape, with the exact derivative of that motion.
-    pose_rounds : int
-        At most so many; they end when the landmarks move by less than a thousandth of the size (root mean square).
-    normalize : {"none", "size", "affine"}
-        What is removed inside the objective only: nothing; sizes; sizes, and after the first round also the linear maps to the
-        mean shape. Results keep sizes and shapes in every case.
-    prior : float
-        Weight of the bending energy of every ``D_i`` [nat].
-    barriers : tuple of float
-        Decreasing barrier weights, one round each; the last one is the weight of the result.
-    floor : float
-        Lower bound kept for every coefficient of ``det dD/du``.
-    form : {"bezier", "bspline", "sampled"}
-        Form of the Jacobian that the barrier sees.
-    aggregate : {"each", "ks"}
-        Barrier on every coefficient, or on their Kreisselmeier-Steinhauser aggregate.
-    sharpness : float
-        ``K`` of the aggregate.
-    reference : int or {"nearest-to-mean", "none"}
-    start : {"identity", "affine"}
-        ``affine``, for surfaces: maps, poses and normalization begin where the reference lies closest to every shape after an
-        affine registration (:func:`ssmpipe.core.correspondence.affine_start.affine_start`).
-    coarse_to_fine : bool
-        Whether coarser nested spaces of ``D`` are solved first, at the strongest barrier.
-    guide_weight : float
-        Pull of the guides [nat / mm^2].
-    guide_mode : {"penalty", "interpolate"}
-        ``interpolate``: every guide is met to rounding, as a linear condition on the maps that no step leaves.
-    guide_tolerance : float
-        Largest miss of an interpolated guide that no map can meet exactly, one on a fixed edge for example [mm].
-    sensitivity : {"adjoint", "direct", "finite-difference"}
-        How the gradient of the spectral function is computed; the last two are slow and for comparison.
-    solver : {"auto", "newton", "quasi-newton"}
-        ``newton``: truncated, with exact second derivatives; needs the adjoint. ``auto``: ``newton`` in the last round where
-        its barrier weight is below 1 and the Gauss-Newton matrix is small enough to be factored, else ``quasi-newton``.
-    max_iterations : int
-        Per round.
-    relative_decrease : float
-        A round ends when the objective falls by less than this share twice in a row.
-    landmark_blocks : int or None
-        Blocks of landmark rows whose sums are taken apart; None for the rule of :func:`automatic_blocks`.
-    """
-
-    n_coefficients: tuple[int, ...] = (8, 8)
-    landmarks: tuple[int, ...] = (51, 51)
-    degree: int = 2
-    boundary: Boundary = "fixed"
-    rims: Rims = "kept"
-    open_edges: tuple[tuple[int, int], ...] = ()
-    max_crop: float = 0.15
-    window: Window | None = None
-    covariance: Covariance = "discrete"
-    quadrature: Quadrature | Literal["closed-form"] = "midpoint"
-    objective: Objective = "description-length"
-    normals: float = 0.0
-    lambda_cut: float | None = None
-    pose: Literal["refined", "procrustes", "keep", "each-evaluation"] = "refined"
-    pose_rounds: int = 6
-    normalize: Normalization = "affine"
-    prior: float = 0.01
-    barriers: tuple[float, ...] = (30.0, 10.0, 3.0)
-    floor: float = 0.0
-    form: JacobianForm = "bezier"
-    aggregate: Aggregate = "each"
-    sharpness: float = 15.0
-    reference: int | Literal["nearest-to-mean", "none"] = "nearest-to-mean"
-    start: Literal["identity", "affine"] = "identity"
-    coarse_to_fine: bool = False
-    guide_weight: float = 1.0
-    guide_mode: Literal["penalty", "interpolate"] = "penalty"
-    guide_tolerance: float = 0.01
-    sensitivity: Sensitivity = "adjoint"
-    solver: Solver = "auto"
-    max_iterations: int = 300
-    relative_decrease: float = 1e-5
-    landmark_blocks: int | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Optimum:
-    """Result of the group optimization.
-
-    Parameters
-    ----------
-    coefficients : (n_S, *n_b, d_par)
-    parameters : (n_S, n_P, d_par)
-        ``D_i(u_l)`` on the landmark grid.
-    points, initial_points : (n_S, n_P, d)
-        In the refined pose [mm], sizes kept.
-    alignment : Alignment
-        From the input frame to the refined pose.
-    eigenvalues, eigenvalues_initial : (n_S - 1,)
-        Inside the objective [mm^2], normals included, both in the refined pose.
-    description_length : (before, after)
-        Of the same.
-    lambda_cut : float
-    reference : int
-        -1 when all shapes move.
-    certificates : tuple of Certificate
-    guide_residuals : (n_S, n_K)
-        Distance on the surface between a guide and where it is carried [mm]; NaN where a shape lacks it.
-    window : Window or None
-        What the model covers of the registered reference where rims are free.
-    lacking : tuple of int
-        Shapes that end before the window does.
-    rim_shifts : (n_S,) or empty
-        By how much rims lie elsewhere than those of the reference [share of the parameter]; empty where it was not asked for.
-    normals : (n_S, n_P, d), or None where they have no weight
-        Unit normals in the refined pose.
-    normal_scale : float
-        What they were multiplied with [mm].
-    evaluator : {"numpy", "numba"}
-        Which one evaluated the splines; both give the same bits.
-    """
-
-    coefficients: Floats
-    parameters: Floats
-    points: Floats
-    initial_points: Floats
-    alignment: Alignment
-    eigenvalues: Floats
-    eigenvalues_initial: Floats
-    description_length: tuple[float, float]
-    lambda_cut: float
-    reference: int
-    certificates: tuple[Certificate, ...]
-    guide_residuals: Floats = field(default_factory=lambda: np.empty((0, 0)))
-    window: Window | None = None
-    lacking: tuple[int, ...] = ()
-    rim_shifts: Floats = field(default_factory=lambda: np.empty(0))
-    normals: Floats | None = None
-    normal_scale: float = 0.0
-    evaluator: str = "numpy"
-
-
-def automatic_lambda_cut(size: float) -> float:
-    """Return the threshold ``(size / 1000)^2``: variation below a thousandth of the size counts as noise.
-
-    Parameters
-    ----------
-    size : float
-        Root mean square distance of the mean shape's points from their centroid [mm].
-
-    Returns
-    -------
-    float
-        [mm^2]. The printed rule [1.13] of the thesis is not a squared length and changes with the landmark density.
-
-    Examples
-    --------
-    >>> automatic_lambda_cut(40.0)
-    0.0016
-    """
-    return (size / 1000.0) ** 2
-
-
 THREADS_FROM = 32
 """Number of shapes from which threads are used: with fewer, a busy machine takes longer to wake them than the work takes."""
 
@@ -308,9 +111,9 @@ def optimize_correspondence(
         opened = rims.within(window)
         opts = replace(opts, window=window, reference="none")
         cohort = _Cohort(splines, opts, guides, engine, threads)
-    recorder = _Recorder(record, Journal(checkpoints))
+    recorder = Recorder(record, Journal(checkpoints))
     reparameterization = cohort.space(opts.n_coefficients)
-    levels = _levels(reparameterization) if opts.coarse_to_fine else []
+    levels = coarser_spaces(reparameterization) if opts.coarse_to_fine else []
     first = cohort.space(levels[0] if levels else opts.n_coefficients)
     if rims is not None and opened is not None:
         coefficients = without_folds(cohort.objective(first), opened, turned_identity(first, rims.turns))
@@ -322,7 +125,7 @@ def optimize_correspondence(
         coefficients = turned_identity(first, cohort.turns)
     for n, n_next in pairwise([*levels, opts.n_coefficients]):
         coefficients = cohort.descend(coefficients, cohort.space(n), opts.barriers[:1], recorder)[0]
-        coefficients = _refined(coefficients, cohort.space(n), cohort.space(n_next))
+        coefficients = refined(coefficients, cohort.space(n), cohort.space(n_next))
     if cohort.guided and opts.guide_mode == "interpolate":
         coefficients = cohort.meet_guides(coefficients, reparameterization, recorder)
     pose_rounds = opts.pose_rounds if opts.pose in _REFINED or opts.normalize == "affine" else 0
@@ -376,10 +179,9 @@ class _Cohort:
         self.raw = SplineStack(splines, self.output.periodic)
         at_identity = np.repeat(self.output.evaluate(self.output.identity()[None]), len(splines), axis=0)
         self.given = self.raw.evaluate(at_identity).points
-        self.alignment = self._align(self.given, keep_pose=opts.pose != "procrustes")
-        self.normal = _sizes(self.alignment)
+        self.pose = self._aligned(self.given, keep_pose=opts.pose != "procrustes")
         self.turns = np.zeros(len(splines))
-        start = self._normalized(self.given)
+        start = self.pose.normalized(self.given)
         if self.output.periodic[0] and guides is None:
             self.turns, start = self._turned(start)
         mean = start.mean(axis=0)
@@ -401,7 +203,9 @@ class _Cohort:
             self.turns = (self.turns - self.turns[self.reference] + 0.5) % 1.0 - 0.5
         self.guide_weight = opts.guide_weight
         self.interpolating = False
-        self._guides = self._locate_guides(guides) if guides is not None else None
+        self._places: GuidePlaces | None = None
+        if guides is not None:
+            self._places = GuidePlaces.of(splines, self.raw, guides, self.reference, periodic=self.output.periodic[0])
 
     def _turned(self, start: Floats) -> tuple[Floats, Floats]:
         """Return by how much each shape is turned before the descent, and the points at the start after that."""
@@ -409,11 +213,11 @@ class _Cohort:
         if not turns.any():
             return turns, start
         coefficients = turned_identity(self.output, turns)
-        return turns, self._normalized(self.raw.evaluate(self.output.evaluate(coefficients)).points)
+        return turns, self.pose.normalized(self.raw.evaluate(self.output.evaluate(coefficients)).points)
 
     @property
     def guided(self) -> bool:
-        return self._guides is not None
+        return self._places is not None
 
     def space(self, n_coefficients: tuple[int, ...]) -> Reparameterization:
         """Return the maps with the nodes of the objective."""
@@ -447,8 +251,8 @@ class _Cohort:
         """Return the objective in the current pose; ``coefficients`` tell the mean shape of ``each-evaluation``."""
         target = None
         if self.opts.pose == "each-evaluation" and coefficients is not None:
-            target = self._normalized(self.raw.evaluate(space.evaluate(coefficients)).points).mean(axis=0)
-        splines = [self._normalized_spline(i) for i in range(len(self.splines))]
+            target = self.pose.normalized(self.raw.evaluate(space.evaluate(coefficients)).points).mean(axis=0)
+        splines = [self.pose.normalized_spline(spline, i) for i, spline in enumerate(self.splines)]
         n_positions = splines[0].dimension
         if self._fields is not None:
             splines = [self._fields.beside(spline, self._normal_scale) for spline in splines]
@@ -476,7 +280,7 @@ class _Cohort:
         )
 
     def descend(
-        self, coefficients: Floats, space: Reparameterization, barriers: tuple[float, ...], recorder: _Recorder
+        self, coefficients: Floats, space: Reparameterization, barriers: tuple[float, ...], recorder: Recorder
     ) -> tuple[Floats, Status]:
         """Minimize at each barrier weight in turn."""
         objective = self.objective(space, coefficients)
@@ -511,27 +315,10 @@ class _Cohort:
 
     # -- pose ----------------------------------------------------------------------------------------------------------
 
-    def _align(self, points: Floats, *, keep_pose: bool) -> Alignment:
-        """Return poses and size factors for (n_S, n_P, d) points on the grid, landmarks weighed by the size they stand for."""
-        weights = grid_size_weights(points.mean(axis=0), self.output.grid, self.output.periodic)
-        alignment = generalized_procrustes(points, weights, remove_size=self.opts.normalize != "none")
-        if not keep_pose:
-            return alignment
-        unturned = np.repeat(np.eye(points.shape[2])[None], len(points), axis=0)
-        return replace(alignment, rotation=unturned, translation=np.zeros((len(points), points.shape[2])))
-
-    def _normalized(self, points: Floats) -> Floats:
-        """Return (n_S, n, d) points of the input frame as the objective sees them."""
-        linear, offset = self.normal
-        return _apply(self.alignment, points) @ np.swapaxes(linear, 1, 2) + offset[:, None]
-
-    def _normalized_spline(self, i: int) -> Spline:
-        """Return spline ``i`` as the objective sees it; splines are affinely invariant."""
-        spline = self.splines[i]
-        shape = spline.control_points.shape
-        linear, offset = self.normal[0][i], self.normal[1][i]
-        moved = spline.control_points @ self.alignment.rotation[i].T + self.alignment.translation[i]
-        return spline.with_control((moved @ linear.T + offset).reshape(shape))
+    def _aligned(self, points: Floats, *, keep_pose: bool) -> Pose:
+        """Return poses and size factors for (n_S, n_P, d) points on the grid."""
+        grid, periodic = self.output.grid, self.output.periodic
+        return Pose.of(points, grid, periodic, remove_size=self.opts.normalize != "none", keep_pose=keep_pose)
 
     def registered_rims(self) -> Registered | None:
         """Return the reference registered with rims that may lie anywhere; None where nothing asks for it."""
@@ -560,67 +347,29 @@ class _Cohort:
     def refine_pose(self, coefficients: Floats, space: Reparameterization) -> bool:
         """Refine poses and normalization from the current correspondence; return whether that moved anything noticeably."""
         current = self.raw.evaluate(space.at(self.opts.landmarks).evaluate(coefficients)).points
-        before = self._normalized(current)
-        saved = self.alignment, self.normal
-        self.alignment = self._align(current, keep_pose=self.opts.pose not in _REFINED)
-        self.normal = _sizes(self.alignment)
+        before = self.pose.normalized(current)
+        pose = self._aligned(current, keep_pose=self.opts.pose not in _REFINED)
         if self.opts.normalize == "affine":
-            sized = self._normalized(current)
-            weights = grid_size_weights(sized.mean(axis=0), self.output.grid, self.output.periodic)
-            linear, offset = affine_to_mean(sized, weights)
-            self.normal = linear @ self.normal[0], np.einsum("iab,ib->ia", linear, self.normal[1]) + offset
-        moved = self._normalized(current) - before
+            pose = pose.mapped_to_mean(current, self.output.grid, self.output.periodic)
+        moved = pose.normalized(current) - before
         if float(np.sqrt((moved**2).sum(axis=-1).mean())) < 1e-3 * self.size:
-            self.alignment, self.normal = saved
             return False
+        self.pose = pose
         return True
 
     # -- guides --------------------------------------------------------------------------------------------------------
 
-    def _locate_guides(self, guides: Sequence[Mapping[str, Floats]]) -> tuple[Floats, Floats, Floats, np.ndarray]:
-        """Return common and own parameters, tangents and presence of the guides that at least two shapes have."""
-        names = sorted({n for g in guides for n in g if sum(n in other for other in guides) >= 2})
-        if not names:
-            raise LandmarkError(
-                "no guide is marked on two shapes or more", "name landmarks that the shapes share in optimize.guides"
-            )
-        n_d = len(self.splines[0].degrees)
-        own = np.zeros((len(self.splines), len(names), n_d))
-        present = np.zeros((len(self.splines), len(names)), dtype=bool)
-        for i, (spline, marks) in enumerate(zip(self.splines, guides, strict=True)):
-            have = [k for k, name in enumerate(names) if name in marks]
-            if have:
-                own[i, have] = nearest_parameters(spline, np.array([marks[names[k]] for k in have]))[0]
-                present[i, have] = True
-        if self.reference >= 0:
-            anchor = np.where(present[self.reference][:, None], own[self.reference], np.nan)
-        else:
-            anchor = np.full((len(names), n_d), np.nan)
-        offset = np.where(present[..., None], own, np.nan)
-        if self.output.periodic[0]:
-            first = np.where(
-                np.isnan(anchor[:, 0]), offset[present.argmax(axis=0), np.arange(len(names)), 0], anchor[:, 0]
-            )
-            offset[..., 0] -= np.round(offset[..., 0] - first)
-        common = np.where(np.isnan(anchor), np.nanmean(offset, axis=0), anchor)
-        return common, own, np.stack(self.raw.evaluate(own).first, axis=2), present
-
     def _guides_in(self, space: Reparameterization) -> Guides | None:
-        if self._guides is None:
-            return None
-        common, own, tangents, present = self._guides
-        wrapped = np.where(np.array(space.periodic), common - np.floor(common), common)
-        return Guides(space, wrapped, own, tangents, present, self.guide_weight)
+        return self._places.guides_in(space, self.guide_weight) if self._places is not None else None
 
     def guide_residuals(self, coefficients: Floats, space: Reparameterization) -> Floats:
         """Return the (n_S, n_K) distances on the surface [mm], NaN where a shape lacks the guide."""
         guides = self._guides_in(space)
-        if guides is None or self._guides is None:
+        if guides is None or self._places is None:
             return np.empty((len(self.splines), 0))
-        moved = np.einsum("ika,ikad->ikd", guides.residual(coefficients), self._guides[2])
-        return np.where(self._guides[3], np.linalg.norm(moved, axis=-1), np.nan)
+        return self._places.distances(guides, coefficients)
 
-    def meet_guides(self, coefficients: Floats, space: Reparameterization, recorder: _Recorder) -> Floats:
+    def meet_guides(self, coefficients: Floats, space: Reparameterization, recorder: Recorder) -> Floats:
         """Return one-to-one maps that meet every guide, and hold them from now on.
 
         The nearest maps that meet the guides may fold; then the guides pull, harder and harder, until those do not.
@@ -665,13 +414,13 @@ class _Cohort:
         length = spectral_function("description-length", self.lambda_cut).value
         normals = None
         if self._fields is not None:
-            normals = self._fields.at(self.splines, parameters) @ np.swapaxes(self.alignment.rotation, 1, 2)
+            normals = self._fields.at(self.splines, parameters) @ np.swapaxes(self.pose.alignment.rotation, 1, 2)
         return Optimum(
             coefficients=coefficients,
             parameters=parameters,
-            points=_apply(self.alignment, self.raw.evaluate(parameters).points),
-            initial_points=_apply(self.alignment, self.given),
-            alignment=self.alignment,
+            points=self.pose.placed(self.raw.evaluate(parameters).points),
+            initial_points=self.pose.placed(self.given),
+            alignment=self.pose.alignment,
             eigenvalues=eigenvalues,
             eigenvalues_initial=eigenvalues_initial,
             description_length=(length(eigenvalues_initial), length(eigenvalues)),
@@ -684,68 +433,3 @@ class _Cohort:
             normal_scale=self._normal_scale,
             evaluator=self.raw.evaluator,
         )
-
-
-class _Recorder:
-    """Collects the history rows and hands each one on."""
-
-    def __init__(self, record: Callable[[dict[str, float]], None] | None, journal: Journal) -> None:
-        self._record = record
-        self.journal = journal
-        self._rows = journal.rows
-        self.n_iterations = 0
-        self.n_evaluations = 0
-
-    def start(self, objective: GroupObjective, x: Floats) -> None:
-        """Note the state before the first iteration of all."""
-        if not self._rows:
-            self._note(objective, x)
-
-    def note_iteration(self, objective: GroupObjective, _k: int, x: Floats, _f: float, _g: Floats) -> None:
-        """Note an accepted step."""
-        self._note(objective, x)
-
-    def _note(self, objective: GroupObjective, x: Floats) -> None:
-        jacobians = objective.jacobians(x)
-        row = {
-            "iteration": float(len(self._rows)),
-            "description_length": objective.spectral_value(x),
-            "max_constraint": float(objective.constraint.constraint(jacobians).max()),
-            "min_jacobian": float(jacobians.min()),
-        }
-        self._rows.append(row)
-        if self._record is not None:
-            self._record(row)
-
-    def history(self) -> dict[str, Floats]:
-        """Return the columns."""
-        return {key: np.array([row[key] for row in self._rows]) for key in self._rows[0]}
-
-
-def _levels(space: Reparameterization) -> list[tuple[int, ...]]:
-    """Return the coarser nested spaces, coarsest first: spans halved while they can be and two are left."""
-    levels: list[tuple[int, ...]] = []
-    spans = [d.n_spans for d in space.directions]
-    while all(s % 2 == 0 and s >= 4 for s in spans):
-        spans = [s // 2 for s in spans]
-        extra = [0 if p else space.degree for p in space.periodic]
-        levels.append(tuple(s + e for s, e in zip(spans, extra, strict=True)))
-    return levels[::-1]
-
-
-def _refined(coefficients: Floats, coarse: Reparameterization, fine: Reparameterization) -> Floats:
-    """Return the same maps in the finer space, by knot insertion."""
-    matrices = tuple(c.refinement(f) for c, f in zip(coarse.directions, fine.directions, strict=True))
-    displacement = components_first(coefficients - coarse.identity())
-    return fine.identity() + components_last(apply_directions(matrices, displacement))
-
-
-def _apply(alignment: Alignment, points: Floats) -> Floats:
-    """Move (n_S, n, d) points to their poses, sizes kept."""
-    return points @ np.swapaxes(alignment.rotation, 1, 2) + alignment.translation[:, None]
-
-
-def _sizes(alignment: Alignment) -> tuple[Floats, Floats]:
-    """Return the linear maps (n_S, d, d) and offsets (n_S, d) that remove sizes about the common centre."""
-    linear = alignment.scale[:, None, None] * np.eye(len(alignment.centre))
-    return linear, alignment.centre - np.einsum("iab,b->ia", linear, alignment.centre)

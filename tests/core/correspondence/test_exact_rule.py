@@ -4,7 +4,8 @@ import pytest
 from ssmpipe.core.correspondence.direction import Direction
 from ssmpipe.core.correspondence.exact_rule import ExactRule
 from ssmpipe.core.correspondence.objective import GroupObjective
-from ssmpipe.core.correspondence.optimize import EngineOptions, optimize_correspondence
+from ssmpipe.core.correspondence.optimize import optimize_correspondence
+from ssmpipe.core.correspondence.options import EngineOptions
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
 from ssmpipe.core.correspondence.sensitivity import direct_gradient
 from ssmpipe.core.correspondence.spectral import spectral_function

@@ -6,7 +6,8 @@ import pytest
 from ssmpipe.core.correspondence.guides import Guides
 from ssmpipe.core.correspondence.interpolation import Interpolation
 from ssmpipe.core.correspondence.objective import GroupObjective
-from ssmpipe.core.correspondence.optimize import EngineOptions, optimize_correspondence
+from ssmpipe.core.correspondence.optimize import optimize_correspondence
+from ssmpipe.core.correspondence.options import EngineOptions
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
 from ssmpipe.core.correspondence.spectral import spectral_function
 from ssmpipe.core.errors import FoldoverError, LandmarkError

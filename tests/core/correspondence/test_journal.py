@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from ssmpipe.core.checkpoints import Checkpoints, State
-from ssmpipe.core.correspondence.optimize import EngineOptions, Optimum, optimize_correspondence
+from ssmpipe.core.correspondence.optimize import optimize_correspondence
+from ssmpipe.core.correspondence.optimum import Optimum
+from ssmpipe.core.correspondence.options import EngineOptions
 from ssmpipe.core.result import Result
 from ssmpipe.core.spline.evaluate import SplineStack
 from tests.support.cohorts import line_bumps

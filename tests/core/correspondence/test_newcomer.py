@@ -12,7 +12,8 @@ from ssmpipe.core.correspondence.affine_start import LEAST_JACOBIAN, turned_iden
 from ssmpipe.core.correspondence.covariance import centred_spectrum
 from ssmpipe.core.correspondence.inequalities import Inequalities
 from ssmpipe.core.correspondence.newcomer import FixedCohort, NewcomerObjective, bring_in
-from ssmpipe.core.correspondence.optimize import EngineOptions, optimize_correspondence
+from ssmpipe.core.correspondence.optimize import optimize_correspondence
+from ssmpipe.core.correspondence.options import EngineOptions
 from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.spline.evaluate import SplineStack
 from ssmpipe.core.spline.surface import BSplineSurface

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from ssmpipe.core.correspondence.normals import NormalFields, carried
-from ssmpipe.core.correspondence.optimize import EngineOptions, optimize_correspondence
+from ssmpipe.core.correspondence.optimize import optimize_correspondence
+from ssmpipe.core.correspondence.options import EngineOptions
 from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.spline.evaluate import SplineStack
 from ssmpipe.core.spline.fit import fit_surface

@@ -7,7 +7,8 @@ import pytest
 
 from ssmpipe.core.correspondence.newcomer import FixedCohort, bring_in
 from ssmpipe.core.correspondence.open_rims import register_reference
-from ssmpipe.core.correspondence.optimize import EngineOptions, optimize_correspondence
+from ssmpipe.core.correspondence.optimize import optimize_correspondence
+from ssmpipe.core.correspondence.options import EngineOptions
 from ssmpipe.core.correspondence.reparameterization import Reparameterization
 from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.spline.evaluate import SplineStack

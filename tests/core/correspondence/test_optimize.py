@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from ssmpipe.core.correspondence.optimize import EngineOptions, optimize_correspondence
+from ssmpipe.core.correspondence.optimize import optimize_correspondence
+from ssmpipe.core.correspondence.options import EngineOptions
 from ssmpipe.core.errors import GeometryError
 from tests.support.surfaces import bump, bumps
 

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssmpipe.core.correspondence.optimize import EngineOptions, optimize_correspondence
+from ssmpipe.core.correspondence.optimize import optimize_correspondence
+from ssmpipe.core.correspondence.options import EngineOptions
 from ssmpipe.core.errors import FoldoverError, GeometryError, LandmarkError
 from ssmpipe.core.spline.curve import BSplineCurve
 from ssmpipe.core.spline.knots import clamped_uniform_knots
@@ -84,19 +85,6 @@ def test_closed_curves_find_their_starting_point():
     tip = [p[np.linalg.norm(p, axis=1).argmax()] for p in optimum.points]
     index = [np.linalg.norm(p, axis=1).argmax() for p in optimum.points]
     assert np.ptp(index) <= 3, tip
-
-
-def test_coarse_spaces_nest_exactly():
-    from ssmpipe.core.correspondence.optimize import _refined
-    from ssmpipe.core.correspondence.reparameterization import Reparameterization
-
-    for boundary, coarse_n, fine_n in (("fixed", (5, 6), (8, 10)), ("periodic", (5, 6), (10, 10))):
-        coarse, fine = (Reparameterization(n, (17, 19), boundary=boundary) for n in (coarse_n, fine_n))
-        b = (
-            coarse.identity()[None]
-            + 0.02 * np.random.default_rng(0).normal(size=(1, *coarse.identity().shape)) * coarse.free
-        )
-        np.testing.assert_allclose(fine.evaluate(_refined(b, coarse, fine)), coarse.evaluate(b), atol=1e-12)
 
 
 def marked_bumps():
