@@ -219,8 +219,9 @@ class Stage:
     run : callable
     inputs, outputs : tuple of Port
         The first input and first output are the main file of the single-file command.
-    methods : str
-        Sentence for the methods paragraph; ``{option}`` is replaced by the option's value.
+    methods : str or callable
+        Sentence for the methods paragraph; ``{option}`` is replaced by the option's value. Or ``methods(options) -> str``, where
+        options decide what is to be said.
     cites : tuple of str
         Keys into the bibliography of the report.
     prepare : callable, optional
@@ -241,7 +242,7 @@ class Stage:
     run: Callable[..., dict[str, Any]]
     inputs: tuple[Port, ...]
     outputs: tuple[Port, ...]
-    methods: str = ""
+    methods: str | Callable[[Mapping[str, Any]], str] = ""
     cites: tuple[str, ...] = ()
     prepare: Callable[..., dict[str, Any]] | None = None
     prepared: tuple[Port, ...] = ()

@@ -24,12 +24,13 @@ from ssmpipe.report.payload import in_space, landmark_places, quantized, quantiz
 from ssmpipe.report.pseudonyms import Pseudonyms
 from ssmpipe.report.raster import thinned
 from ssmpipe.report.section import ReportData, Section
+from ssmpipe.report.sections.candidates import candidates_of
 from ssmpipe.report.sections.grids import area_factors, grid_nodes, grid_picture
 from ssmpipe.report.sections.modes import nice_ceiling
 from ssmpipe.report.sections.quality import BLOCKS, WORDS, quality_rows
 from ssmpipe.report.sections.summary import Tile, refuted_poles
 from ssmpipe.report.sections.viewer import looks_from
-from ssmpipe.report.solid import good_view, picture, view_axes
+from ssmpipe.report.solid import good_view, picture, vertex_normals, view_axes
 from ssmpipe.report.units import record_without_mm
 from ssmpipe.report.wording import number
 
@@ -41,6 +42,7 @@ _CELLS, _ENOUGH = (
     7000,
 )  # a small picture needs no more: cubes along the diagonal with one point each, and from how many points on
 _INCHES, _DPI = 2.2, 100
+_SPOT = 0.03  # radius of the spot that marks a place, in diagonals of the shape
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +138,8 @@ def build_patient(page: PatientPage) -> str:
     if page.unit != "mm":
         page = replace(page, record=record_without_mm(page.record))
     shape = (page.record.get("shapes") or {}).get(page.id) or {}
-    sections = [_summary(page, shape), _viewer(page), _stages(page, shape), _numbers(page), _origin(page, shape)]
+    sections = [_summary(page, shape), _viewer(page), _stages(page, shape), _candidates(page, shape)]
+    sections += [_numbers(page), _origin(page, shape)]
     links = [("../report.html", "Report of all shapes")]
     links += [(f"{i}.html", f"{word} {i}") for word, i in (("Previous:", page.before), ("Next:", page.after)) if i]
     return assemble(
@@ -329,6 +332,46 @@ def _stages(page: PatientPage, shape: Mapping[str, Any]) -> Section | None:
         return None
     ramp = png_uri((255 * CHANGE(np.tile(np.linspace(0, 1, 240), (12, 1)))[..., :3]).round().astype(np.uint8))
     return Section("stages", "Stage by stage", fill("patient_stages.html.j2", rows=rows, unit=page.unit, ramp=ramp))
+
+
+def _candidates(page: PatientPage, shape: Mapping[str, Any]) -> Section | None:
+    """Show every place that geometry proposes on the scan, from the side where it lies."""
+    found = candidates_of(shape)
+    if not found:
+        return None
+    scan = next((step.shape for step in page.steps if step.key == "scan"), None)
+    marks = []
+    for name, place in found.items():
+        drawn = ""
+        if scan is not None and scan.cells.shape[1] == 3:
+            drawn = _draw_mark(scan, np.array([float(x) for x in place.split()]))
+        marks.append({"name": name, "place": place, "picture": drawn})
+    html = fill("patient_candidates.html.j2", marks=marks, unit=page.unit)
+    return Section("candidates", "Landmarks that geometry proposes", html)
+
+
+def _draw_mark(scan: Geometry, place: Floats) -> str:
+    """Draw the scan from where a place on it is seen, the place as a red spot with a dark rim."""
+    small = _small(scan, scan.diagonal / _CELLS)
+    apart = np.linalg.norm(small.points - place, axis=1) / scan.diagonal
+    towards = vertex_normals(small.points, small.cells)[apart < _SPOT].sum(axis=0)
+    if not towards.any():
+        towards = place - small.points.mean(axis=0)
+    view = (
+        float(np.degrees(np.arctan2(towards[1], towards[0]))),
+        float(np.degrees(np.arctan2(towards[2], np.hypot(*towards[:2])))),
+    )
+    colours = np.tile(to_rgb(BONE), (len(small.points), 1))
+    colours[apart < _SPOT] = to_rgb(CHANGE_STOPS[3])
+    colours[apart < 0.6 * _SPOT] = to_rgb(CHANGE_STOPS[2])
+    axes = view_axes(*view)[:2]
+    flat = small.points @ axes.T
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    shot = picture(
+        small.points, small.cells, view=view, centre=(low + high) / 2 @ axes, radius=0.53 * float((high - low).max()),
+        colours=colours, inches=_INCHES, dpi=_DPI, finer=1.5,
+    )  # fmt: skip
+    return png_uri(shot, 96)
 
 
 def _long(value: Any) -> bool:

@@ -44,6 +44,8 @@ def write_failures(out: Path, failures: Mapping[str, Mapping[str, str]], *, part
 
 def methods_sentence(stage: Stage, options: Mapping[str, Any]) -> str:
     """Return the stage's sentence for the methods paragraph, its options filled in."""
+    if not isinstance(stage.methods, str):
+        return stage.methods(options)
 
     def text(value: Any) -> str:
         if isinstance(value, list):

@@ -39,7 +39,7 @@ def run(*, cfg: Config, ctx: Context, **artifacts: Any) -> dict[str, Any]:
 STAGE = Stage(
     name="report",
     scope="cohort",
-    version=4,  # says where left and right are not checked
+    version=5,  # shows landmarks that geometry proposes
     config=Config,
     run=run,
     inputs=(

@@ -10,7 +10,7 @@ from ssmpipe.core.errors import GeometryError, LandmarkError
 from ssmpipe.core.mesh.operators import area
 from ssmpipe.core.mesh.topology import boundary_loops, loop_length
 from ssmpipe.core.mesh.trimesh import TriMesh
-from ssmpipe.core.repair.sinuses import find_sinuses, planes_at_sinuses
+from ssmpipe.core.repair.sinuses import find_sinuses, planes_at_sinuses, sinus_valleys
 from ssmpipe.core.repair.tube_ends import (
     EndPlane,
     open_closed_end,
@@ -20,6 +20,7 @@ from ssmpipe.core.repair.tube_ends import (
     planes_through_points,
     trim_tube,
 )
+from ssmpipe.stages._candidates import propose
 
 ROLES = ("opening_1", "opening_2")
 
@@ -27,6 +28,7 @@ ROLES = ("opening_1", "opening_2")
 def trim_both_ends(
     mesh: TriMesh,
     marks: Landmarks,
+    transform: Floats,
     ctx: Context,
     *,
     at: Literal["rims", "fractions", "landmarks", "sinuses"],
@@ -55,7 +57,7 @@ def trim_both_ends(
     else:
         planes = planes_inside_rims(mesh, rims, margin)
     if at == "sinuses":
-        planes = _by_sinuses(mesh, rims, planes, ctx, below_sinuses, tube_mm, marks.role("trim"), extend_mm)
+        planes = _by_sinuses(mesh, rims, planes, transform, ctx, below_sinuses, tube_mm, marks.role("trim"), extend_mm)
     done = trim_tube(mesh, rims, planes, extend_mm=extend_mm, snap=snap)
     ctx.metric("cut_by", at)
     for k, (removed, added) in enumerate(zip(done.removed, done.added, strict=True), start=1):
@@ -82,6 +84,7 @@ def _by_sinuses(
     mesh: TriMesh,
     rims: tuple[Ints, Ints],
     at_rims: tuple[EndPlane, EndPlane],
+    transform: Floats,
     ctx: Context,
     below: float,
     tube_mm: float | None,
@@ -100,6 +103,8 @@ def _by_sinuses(
     ctx.metric("sinuses", "first end" if sinuses.first else "second end")
     ctx.metric("sinus_height_mm", sinuses.height)
     ctx.metric("junction_diameter_mm", sinuses.diameter)
+    valleys = sinus_valleys(mesh, sinuses)
+    propose({f"sinus_valley_{k}": place for k, place in enumerate(valleys, start=1)}, transform, ctx)
     if upper is not None:
         rim = mesh.vertices[rims[1 if sinuses.first else 0]]
         missing = -float(((rim - upper.point) @ upper.normal).min())

@@ -12,10 +12,11 @@ from ssmpipe.core.align.box import box_frame
 from ssmpipe.core.align.features import femur_candidates, valley_candidates
 from ssmpipe.core.align.frames import femur_distal_frame, landmark_frame, place_axes, principal_frame
 from ssmpipe.core.align.proximal_femur import femur_proximal_frame
-from ssmpipe.core.align.rigid import apply, move, reflection
+from ssmpipe.core.align.rigid import move, reflection
 from ssmpipe.core.arrays import Floats
-from ssmpipe.core.errors import LandmarkError
+from ssmpipe.core.errors import GeometryError, LandmarkError
 from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.stages._candidates import propose
 
 _FRAMES = {"principal": principal_frame, "femur-proximal": femur_proximal_frame, "box": box_frame}
 ROLES = ("lateral", "medial", "proximal")
@@ -37,12 +38,12 @@ class Config(StageConfig):
         ),
     ] = "femur-distal"
     candidates: Annotated[
-        Literal["none", "femur", "valleys"],
+        Literal["auto", "none", "femur", "valleys"],
         Field(
             description="Landmarks that geometry proposes, for the report only, in scan coordinates: fovea and lesser trochanter of a "
-            "femur, or the three sharpest valleys (between sinuses). No stage uses them."
+            "femur, or the three sharpest valleys; auto: those of a femur with frame: femur-proximal. No stage uses them."
         ),
-    ] = "none"
+    ] = "auto"
 
 
 def run(
@@ -75,21 +76,24 @@ def run(
                 )
         ctx.metric("width_mm", frame.width)
         matrix = frame.matrix @ matrix
-    if cfg.candidates != "none":
-        _propose(mesh, transform, cfg, ctx)
+    _propose(mesh, transform, cfg, ctx)
     ctx.metric("mirrored", mirrored)
     ctx.metric("frame_from", source)
     return {"mesh": move(mesh, matrix), "landmarks": marks.transformed(matrix), "transform": matrix @ transform}
 
 
 def _propose(mesh: TriMesh, transform: Floats, cfg: Config, ctx: Context) -> None:
-    found = femur_candidates(mesh) if cfg.candidates == "femur" else valley_candidates(mesh)
-    back = np.asarray(np.linalg.inv(transform), dtype=np.float64)
-    places = apply(back, np.array([candidate.point for candidate in found.values()]))
-    ctx.metric(
-        "landmark_candidates",
-        {name: " ".join(f"{x:.2f}" for x in place) for name, place in zip(found, places, strict=True)},
-    )
+    wanted = cfg.candidates
+    if wanted == "auto":
+        wanted = "femur" if cfg.frame == "femur-proximal" else "none"
+    if wanted == "none":
+        return
+    try:
+        found = femur_candidates(mesh) if wanted == "femur" else valley_candidates(mesh)
+    except GeometryError as error:
+        ctx.metric("no_landmark_candidates", error.fact)
+    else:
+        propose({name: candidate.point for name, candidate in found.items()}, transform, ctx)
 
 
 def _axes_from_landmarks(marks: Landmarks) -> Floats | None:

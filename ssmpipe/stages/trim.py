@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -9,11 +10,13 @@ from pydantic import Field, model_validator
 
 from ssmpipe.contract import Context, Landmarks, Port, Stage, StageConfig
 from ssmpipe.core.align.proximal_femur import analyze_proximal_femur
+from ssmpipe.core.arrays import Floats
 from ssmpipe.core.mesh.operators import area
 from ssmpipe.core.mesh.topology import boundary_loops, loop_length
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.repair.extension import trim_or_extend
 from ssmpipe.core.repair.trimming import height_by_width
+from ssmpipe.stages._candidates import propose
 from ssmpipe.stages._trim_tube import ROLES, trim_both_ends
 
 Vector = tuple[float, float, float]
@@ -132,12 +135,16 @@ class Config(StageConfig):
         return self
 
 
-def run(mesh: TriMesh, landmarks: Landmarks | None = None, *, cfg: Config, ctx: Context) -> dict[str, Any]:
+def run(
+    mesh: TriMesh, landmarks: Landmarks | None = None, transform: Floats | None = None, *, cfg: Config, ctx: Context
+) -> dict[str, Any]:
     """Trim one shape; see :func:`ssmpipe.core.repair.trimming.trim`."""
+    from_scan = transform if transform is not None else np.eye(4)
     if cfg.ends == 2:
         trimmed = trim_both_ends(
             mesh,
             landmarks if landmarks is not None else Landmarks(),
+            from_scan,
             ctx,
             at=cfg.ends_at,
             margin=cfg.end_margin_mm,
@@ -166,6 +173,7 @@ def run(mesh: TriMesh, landmarks: Landmarks | None = None, *, cfg: Config, ctx: 
         height, source = float(found.trochanter @ up) + cfg.offset_mm + cfg.offset_shafts * found.diameter, "trochanter"
         ctx.metric("shaft_diameter_mm", found.diameter)
         ctx.metric("trochanter_bulge_mm", found.bulge)
+        propose({"lesser_trochanter": found.trochanter}, from_scan, ctx)
     else:
         height, width = height_by_width(mesh.vertices, up, across, cfg.fraction)
         source = "width"
@@ -186,14 +194,59 @@ def run(mesh: TriMesh, landmarks: Landmarks | None = None, *, cfg: Config, ctx: 
     return {"mesh": trimmed}
 
 
+def methods(options: Mapping[str, Any]) -> str:
+    """Return the sentence for the methods paragraph: what the cut was made by, in the order of precedence.
+
+    Examples
+    --------
+    >>> methods({"fraction": 1.1})
+    'Surfaces were cut by a plane across the axis, 1.1 widths above the lowest point, or at the landmark with role trim where it was given.'
+    """
+    cfg = Config.model_validate(options, strict=False)
+    extended = f" Scans that end earlier were continued by up to {cfg.extend_mm:g} mm." if cfg.extend_mm else ""
+    if cfg.ends == 2:
+        upper = (
+            "just inside the other rim" if cfg.tube_mm is None else f"{cfg.tube_mm:g} mm farther along the centre line"
+        )
+        where = {
+            "rims": f"{cfg.end_margin_mm:g} mm inside their rims",
+            "fractions": f"at {cfg.end_fractions[0]:g} and {cfg.end_fractions[1]:g} of their centre line",
+            "landmarks": "through the landmarks of their openings",
+            "sinuses": f"{cfg.below_sinuses:g} heights of the sinuses below these, which geometry found, and {upper}, or at the landmark "
+            "with role trim where it was given",
+        }[cfg.ends_at]
+        return f"Tubes were cut across at both ends, {where}.{extended}"
+    shift = " and ".join(
+        [f"{cfg.offset_mm:g} mm"] * bool(cfg.offset_mm)
+        + [f"{cfg.offset_shafts:g} shaft diameters"] * bool(cfg.offset_shafts)
+    )
+    from_there = f", shifted by {shift}" if shift else ""
+    if cfg.plane_point is not None:
+        where = "through a given point"
+    elif cfg.distance_mm is not None:
+        where = f"{cfg.distance_mm:g} mm above the lowest point"
+    else:
+        where = f"{cfg.fraction:g} widths above the lowest point"
+        if cfg.axis_fraction is not None:
+            where = f"at {cfg.axis_fraction:g} of their extent"
+        elif cfg.find == "trochanter":
+            where = f"at the lesser trochanter, which geometry found{from_there}"
+        where += f", or at the landmark with role trim{from_there} where it was given"
+    return f"Surfaces were cut by a plane across the axis, {where}.{extended}"
+
+
 STAGE = Stage(
     name="trim",
     scope="shape",
     version=5,  # sections through both ends of a tube as small as can be, the upper one at a landmark
     config=Config,
     run=run,
-    inputs=(Port("mesh", "trimesh"), Port("landmarks", "landmarks", optional=True)),
+    inputs=(
+        Port("mesh", "trimesh"),
+        Port("landmarks", "landmarks", optional=True),
+        Port("transform", "transform", optional=True),
+    ),
     outputs=(Port("mesh", "trimesh"),),
-    methods="Surfaces were cut by a plane across the axis, {fraction} widths above the lowest point unless stated otherwise.",
+    methods=methods,
     roles=("trim", *ROLES),
 )

@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+import base64
+import io
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from ssmpipe.core.evaluation.landmark_transfer import locate
 from ssmpipe.core.evaluation.quality import Geometry
@@ -97,6 +100,23 @@ def test_a_failed_shape_has_reason_and_remedy_and_no_model() -> None:
     assert html.count("What to try: segment again") == 2
     nothing = build_patient(PatientPage("P99_broken", RUN.record, []))
     assert "What to try: segment again" in nothing
+
+
+def test_places_that_geometry_proposes_are_shown_on_the_scan(html: str) -> None:
+    record = small_run().record
+    record["shapes"]["P02_right"]["stages"][0]["metrics"] = {"landmark_candidates": {"fovea": "20.00 0.00 0.00"}}
+    page = build_patient(example(record=record))
+    assert "Landmarks that geometry proposes" not in html
+    (section,) = re.findall(r'<section id="candidates".*?</section>', page, flags=re.DOTALL)
+    assert "20.00 0.00 0.00" in section
+    (source,) = re.findall(
+        r'src="data:image/png;base64,([^"]*)" width="200" height="200" alt="fovea on the scan"', section
+    )
+    drawn = np.asarray(Image.open(io.BytesIO(base64.b64decode(source))).convert("RGB")).astype(int)
+    red = (drawn[..., 0] > drawn[..., 1] + 60) & (drawn[..., 0] > 60)
+    middle = np.argwhere(red).mean(axis=0) / drawn.shape[:2]
+    assert 0.0005 < red.mean() < 0.01
+    assert middle == pytest.approx([0.5, 0.5], abs=0.03)  # seen from where it lies
 
 
 def test_text_from_outside_is_escaped(html: str) -> None:

@@ -17,7 +17,7 @@ from ssmpipe.report.bibliography import REFERENCES
 from ssmpipe.report.page import resource
 from ssmpipe.report.payload import viewer_payload
 from ssmpipe.report.section import ReportData, by_correspondence
-from ssmpipe.report.sections import shapes, summary
+from ssmpipe.report.sections import candidates, shapes, summary
 from ssmpipe.report.sections.grids import area_factors, grid_nodes
 from ssmpipe.report.sections.landmarks import _pivot
 from ssmpipe.report.solid import good_view, picture, vertex_normals, view_axes
@@ -197,3 +197,29 @@ def test_the_bundle_was_built_from_these_sources() -> None:
     assert hashlib.sha256(text.encode()).hexdigest() in resource("assets", "viewer.js")[:200], (
         "run: npm run build in viewer/"
     )
+
+
+def test_places_that_geometry_proposes_have_a_table_of_their_own() -> None:
+    assert candidates.render(data()) is None
+    record = small_run().record
+    record["shapes"]["P02_right"]["stages"] = [
+        {
+            "stage": "orient",
+            "status": "done",
+            "metrics": {"landmark_candidates": {"fovea": "1.00 2.00 3.00"}, "width_mm": 4.0},
+        },
+        {
+            "stage": "trim",
+            "status": "done",
+            "metrics": {"landmark_candidates": {"lesser_trochanter": "4.00 5.00 6.00"}},
+        },
+    ]
+    section = candidates.render(data(record=record))
+    assert section is not None
+    assert "fovea" in section.html
+    assert "lesser trochanter" in section.html
+    assert section.html.count("<tr>") == 2
+    assert "1.00 2.00 3.00</td><td>4.00 5.00 6.00" in section.html
+    table = shapes.render(data(record=record))
+    assert "landmark candidates" not in table.html
+    assert "1.00 2.00" not in table.html

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import logging
+import re
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from ssmpipe.core.errors import LandmarkError, TopologyError
 from ssmpipe.core.mesh.primitives import sphere, tube
 from ssmpipe.core.mesh.topology import boundary_loops, euler_characteristic
 from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.runner.record import methods_sentence
 from ssmpipe.stages import orient, trim
 from tests.support.femora import femur, landmark, needs_femora
 from tests.support.meshes import aortic_root
@@ -65,6 +67,16 @@ class TestSinuses:
         assert not ctx.warnings
         mesh, _ = go(aortic_root(), ends=2, ends_at="sinuses", below_sinuses=0.0)
         assert heights(mesh) == pytest.approx([5.0, 59.5], abs=0.6)
+
+    def test_the_valleys_between_them_are_proposed_in_scan_coordinates(self):
+        ctx = Context("shape", np.random.default_rng(0), logging.getLogger("test"))
+        shifted = np.eye(4)
+        shifted[:3, 3] = [100.0, 0.0, 0.0]
+        trim.run(aortic_root(), None, shifted, cfg=trim.Config(ends=2, ends_at="sinuses"), ctx=ctx)
+        proposed = ctx.metrics["landmark_candidates"]
+        places = np.array([[float(x) for x in place.split()] for place in proposed.values()])
+        assert list(proposed) == ["sinus_valley_1", "sinus_valley_2", "sinus_valley_3"]
+        assert np.hypot(places[:, 0] + 100.0, places[:, 1]) == pytest.approx(15.2, abs=0.5)
 
     def test_a_landmark_says_where_the_other_end_is(self):
         options = {"ends": 2, "ends_at": "sinuses", "below_sinuses": 0.5, "tube_mm": 45.0}
@@ -133,3 +145,27 @@ class TestOneEnd:
         assert lowest[1] == pytest.approx(lowest[0], abs=3.0)
         mesh, ctx = go(placed["mesh"], **(options | {"offset_mm": 0.0, "offset_shafts": 1.0}))
         assert float(mesh.vertices[:, 2].min()) == pytest.approx(lowest[1] + 20.0 - ctx.metrics["shaft_diameter_mm"])
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"fraction": 1.2}, "1.2 widths above the lowest point, or at the landmark with role trim where"),
+        (
+            {"find": "trochanter", "offset_shafts": 0.7},
+            "lesser trochanter, which geometry found, shifted by 0.7 shaft diameters",
+        ),
+        ({"axis_fraction": 0.3, "extend_mm": 2.0}, "at 0.3 of their extent.*continued by up to 2 mm"),
+        ({"distance_mm": 40.0}, "40 mm above the lowest point.$"),
+        ({"plane_point": [0.0, 0.0, 1.0]}, "through a given point.$"),
+        ({"ends": 2}, "across at both ends, 0.5 mm inside their rims"),
+        ({"ends": 2, "ends_at": "fractions"}, "at 0.05 and 0.95 of their centre line"),
+        ({"ends": 2, "ends_at": "landmarks"}, "through the landmarks of their openings"),
+        (
+            {"ends": 2, "ends_at": "sinuses", "tube_mm": 45.0},
+            "sinuses below these, which geometry found, and 45 mm farther along",
+        ),
+    ],
+)
+def test_the_methods_paragraph_says_how_the_cut_was_found(options, words):
+    assert re.search(words, methods_sentence(trim.STAGE, options))

@@ -10,8 +10,9 @@ from scipy.ndimage import gaussian_filter1d
 from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.mesh.centre_line import centre_line
+from ssmpipe.core.mesh.sections import section_segments
 from ssmpipe.core.mesh.trimesh import TriMesh
-from ssmpipe.core.mesh.tube_profile import TubeProfile, place_on_line, point_on_longer_line, tube_profile
+from ssmpipe.core.mesh.tube_profile import TubeProfile, place_on_line, point_on_line, point_on_longer_line, tube_profile
 from ssmpipe.core.repair.tube_ends import EndPlane, median_radius, plane_across
 
 _BULGE = 0.02
@@ -105,6 +106,47 @@ def find_sinuses(mesh: TriMesh, rims: tuple[Ints, Ints]) -> Sinuses:
             "check that the scan shows the aortic root, or use trim.ends_at: rims or landmarks",
         )
     return found[0]
+
+
+def sinus_valleys(mesh: TriMesh, sinuses: Sinuses) -> Floats:
+    """Return the three places (3, 3) between the sinuses, half way up their lobes, where a section across the centre line is nearest to it.
+
+    The radius of the section is smoothed to six waves; each valley is where it is least within 40 degrees of a trough of the third
+    wave. Counter-clockwise seen against the centre line, the deepest first [mm].
+
+    Examples
+    --------
+    >>> from ssmpipe.core.mesh.primitives import tube
+    >>> plain = tube(1.0, 60.0, 90, 61)
+    >>> x, y, z = plain.vertices.T
+    >>> radius = 14.0 + 2.0 * np.cos(3 * np.arctan2(y, x)) + 0.5 * x
+    >>> line = np.column_stack([np.zeros(61), np.zeros(61), np.arange(61.0)])
+    >>> found = Sinuses(first=True, lower=11.0, upper=25.0, junction=32.0, diameter=28.0, lobes=2.0, line=line)
+    >>> valleys = sinus_valleys(TriMesh(np.column_stack([radius * x, radius * y, z]), plain.faces), found)
+    >>> np.degrees(np.arctan2(valleys[:, 1], valleys[:, 0])).round() % 360
+    array([180., 300.,  60.])
+    """
+    middle = 0.5 * (max(sinuses.lower, 0.0) + sinuses.upper)
+    point, axis = point_on_line(sinuses.line, middle, 0.5 * sinuses.diameter)
+    places = section_segments(mesh, axis, float(point @ axis)).mean(axis=1)
+    places = places[np.linalg.norm(places - point, axis=1) < sinuses.diameter]
+    across = np.linalg.svd(np.eye(3) - np.outer(axis, axis))[0][:, 0]
+    offset = places - places.mean(axis=0)
+    angle, radius = np.arctan2(offset @ np.cross(axis, across), offset @ across), np.linalg.norm(offset, axis=1)
+    orders = np.arange(1, 7)
+
+    def waves(at: Floats) -> Floats:
+        return np.column_stack([np.ones(len(at)), np.cos(np.outer(at, orders)), np.sin(np.outer(at, orders))])
+
+    weights = np.linalg.lstsq(waves(angle), radius, rcond=None)[0]
+    trough = (np.arctan2(weights[6 + 3], weights[3]) + np.pi) / 3.0
+    around = trough + np.radians(np.linspace(-40.0, 40.0, 161)) + 2.0 * np.pi / 3.0 * np.arange(3)[:, None]
+    smooth = (waves(around.ravel()) @ weights).reshape(around.shape)
+    least = smooth.argmin(axis=1)
+    first = int(smooth.min(axis=1).argmin())
+    order = (first + np.arange(3)) % 3
+    turned = np.abs(np.exp(1j * angle) - np.exp(1j * around[order, least[order]])[:, None])
+    return np.asarray(places[turned.argmin(axis=1)])
 
 
 def planes_at_sinuses(

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from ssmpipe.report.section import ReportData, Section
 from ssmpipe.report.sections import (
+    candidates,
     grids,
     history,
     landmarks,
@@ -26,6 +27,7 @@ SECTIONS: tuple[Callable[[ReportData], Section | None], ...] = (
     modes.render,
     measures.render,
     landmarks.render,
+    candidates.render,
     quality.render,
     scores.render,
     shapes.render,

@@ -7,6 +7,7 @@ from typing import Any
 
 from ssmpipe.report.page import fill
 from ssmpipe.report.section import ReportData, Section, to_float
+from ssmpipe.report.sections.candidates import METRIC
 
 
 def stage_key(stage: Mapping[str, Any]) -> str:
@@ -117,7 +118,7 @@ def _detail(data: ReportData, key: str) -> dict[str, Any]:
         for stage in shape.get("stages") or ():
             if stage_key(stage) == key:
                 metrics = stage.get("metrics") or {}
-                names |= dict.fromkeys(metrics)
+                names |= dict.fromkeys(name for name in metrics if name != METRIC)
                 rows.append((shape_id, stage.get("status", ""), metrics))
     table = [(shape_id, status, [_short(metrics.get(name)) for name in names]) for shape_id, status, metrics in rows]
     return {"title": _title(key), "names": list(names), "rows": table}

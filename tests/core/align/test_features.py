@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from ssmpipe.contract import Context, ShapeInfo
-from ssmpipe.core.align.features import valley_candidates
+from ssmpipe.core.align.features import femur_candidates, valley_candidates
 from ssmpipe.core.align.rigid import apply, homogeneous, move
 from ssmpipe.core.mesh.curvature import principal_curvatures
 from ssmpipe.core.mesh.primitives import sphere, tube
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.stages import orient
+from ssmpipe.synth import femur_proximal as fp
 from tests.support.meshes import random_motion
 
 
@@ -63,3 +64,13 @@ def test_candidates_are_reported_in_scan_coordinates_and_change_nothing():
 
 def test_a_sphere_has_no_valley_worth_the_name():
     assert max(c.strength for c in valley_candidates(sphere(10.0, 3)).values()) < 0.0
+
+
+def test_the_fovea_and_the_lesser_trochanter_of_a_femur_are_found_in_any_pose():
+    vertices, faces = fp.template_mesh(2.0)
+    marks = fp.template_landmarks(vertices)
+    motion = random_motion(np.random.default_rng(2))
+    found = femur_candidates(move(TriMesh(vertices, faces), motion))
+    for name, mark in (("fovea", "FOVEA"), ("lesser_trochanter", "LT")):
+        assert found[name].point == pytest.approx(apply(motion, marks[mark][None])[0], abs=3.0)
+        assert found[name].strength > 0.5

@@ -7,7 +7,7 @@ from ssmpipe.core.align.rigid import apply, move
 from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.mesh.primitives import tube
 from ssmpipe.core.mesh.topology import boundary_loops
-from ssmpipe.core.repair.sinuses import find_sinuses, planes_at_sinuses
+from ssmpipe.core.repair.sinuses import find_sinuses, planes_at_sinuses, sinus_valleys
 from ssmpipe.core.repair.tube_ends import openings
 from tests.support.meshes import aortic_root, random_motion, relabeled
 
@@ -64,3 +64,12 @@ def test_motion_and_order_move_the_planes_along():
 def test_what_has_no_sinuses_is_told(mesh, words):
     with pytest.raises(GeometryError, match=f"no sinuses were found: .*{words}"):
         find_sinuses(mesh, rims(mesh))
+
+
+def test_valleys_lie_between_the_sinuses_wherever_the_scan_lies():
+    motion = random_motion(np.random.default_rng(5))
+    for mesh, back in ((aortic_root(2.5), np.eye(4)), (move(aortic_root(2.5), motion), np.linalg.inv(motion))):
+        valleys = apply(back, sinus_valleys(mesh, find_sinuses(mesh, rims(mesh))))
+        angles = np.sort(np.degrees(np.arctan2(valleys[:, 1], valleys[:, 0])) % 360.0)
+        assert angles == pytest.approx([60.0, 180.0, 300.0], abs=3.0)
+        assert valleys[:, 2] == pytest.approx(MIDDLE, abs=1.0)
