@@ -11,14 +11,14 @@ from ssmpipe.contract import Context, Landmarks, Port, ShapeInfo, Stage, StageCo
 from ssmpipe.core.align.box import box_frame
 from ssmpipe.core.align.features import femur_candidates, valley_candidates
 from ssmpipe.core.align.frames import femur_distal_frame, landmark_frame, place_axes, principal_frame
-from ssmpipe.core.align.proximal_femur import femur_proximal_frame
+from ssmpipe.core.align.proximal_femur import ProximalFemur, analyze_proximal_femur, femur_proximal_frame
 from ssmpipe.core.align.rigid import move, reflection
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.errors import GeometryError, LandmarkError
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.stages._candidates import propose
 
-_FRAMES = {"principal": principal_frame, "femur-proximal": femur_proximal_frame, "box": box_frame}
+_FRAMES = {"principal": principal_frame, "box": box_frame}
 ROLES = ("lateral", "medial", "proximal")
 
 
@@ -58,11 +58,14 @@ def run(
             advice = "say --side L or --side R, or give a table with the columns id and side (--cohort)"
         ctx.warn(f"the side of '{info.id}' is unknown, it is not mirrored; {advice}")
     matrix = reflection(0) if mirrored else np.eye(4)
-    source = "none"
+    source, placed = "none", move(mesh, matrix)
+    femur = analyze_proximal_femur(placed) if cfg.frame == "femur-proximal" else None
+    _propose(placed, matrix @ transform, femur, cfg, ctx)
     if cfg.frame != "none":
-        placed = move(mesh, matrix)
         axes = _axes_from_landmarks(marks.transformed(matrix)) if cfg.frame == "femur-distal" else None
-        if cfg.frame in _FRAMES:
+        if femur is not None:
+            frame, source = femur_proximal_frame(placed, femur), "geometry"
+        elif cfg.frame in _FRAMES:
             frame, source = _FRAMES[cfg.frame](placed), "geometry"
         elif axes is not None:
             frame, source = place_axes(placed, axes), "landmarks"
@@ -76,20 +79,19 @@ def run(
                 )
         ctx.metric("width_mm", frame.width)
         matrix = frame.matrix @ matrix
-    _propose(mesh, transform, cfg, ctx)
     ctx.metric("mirrored", mirrored)
     ctx.metric("frame_from", source)
     return {"mesh": move(mesh, matrix), "landmarks": marks.transformed(matrix), "transform": matrix @ transform}
 
 
-def _propose(mesh: TriMesh, transform: Floats, cfg: Config, ctx: Context) -> None:
+def _propose(mesh: TriMesh, transform: Floats, femur: ProximalFemur | None, cfg: Config, ctx: Context) -> None:
     wanted = cfg.candidates
     if wanted == "auto":
-        wanted = "femur" if cfg.frame == "femur-proximal" else "none"
+        wanted = "femur" if femur is not None else "none"
     if wanted == "none":
         return
     try:
-        found = femur_candidates(mesh) if wanted == "femur" else valley_candidates(mesh)
+        found = femur_candidates(mesh, femur) if wanted == "femur" else valley_candidates(mesh)
     except GeometryError as error:
         ctx.metric("no_landmark_candidates", error.fact)
     else:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ssmpipe.core.align.proximal_femur import analyze_proximal_femur
+from ssmpipe.core.align.proximal_femur import ProximalFemur, analyze_proximal_femur
 from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.mesh.curvature import principal_curvatures
@@ -22,18 +22,19 @@ class Candidate(NamedTuple):
     strength: float
 
 
-def femur_candidates(mesh: TriMesh) -> dict[str, Candidate]:
+def femur_candidates(mesh: TriMesh, found: ProximalFemur | None = None) -> dict[str, Candidate]:
     """Return candidates for ``fovea`` and ``lesser_trochanter`` of a femur.
 
     The fovea is the deepest dent of the head below the sphere that fits it, averaged over an eighth of the head's radius, on
-    the side away from the neck. The trochanter: see :func:`ssmpipe.core.align.proximal_femur.analyze_proximal_femur`.
+    the side away from the neck. The trochanter: see :func:`ssmpipe.core.align.proximal_femur.analyze_proximal_femur`,
+    whose result is ``found``, if that is known already.
 
     Raises
     ------
     GeometryError
         If the shape is no femur.
     """
-    found = analyze_proximal_femur(mesh)
+    found = found or analyze_proximal_femur(mesh)
     points, _, _ = sample_surface(mesh, 40000)
     offset = points - found.head
     distance = np.linalg.norm(offset, axis=1)

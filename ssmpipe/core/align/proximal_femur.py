@@ -91,18 +91,19 @@ def analyze_proximal_femur(mesh: TriMesh, n_rounds: int = 3) -> ProximalFemur:
     return replace(found, origin=found.origin + center, head=found.head + center, trochanter=found.trochanter + center)
 
 
-def femur_proximal_frame(mesh: TriMesh) -> Frame:
+def femur_proximal_frame(mesh: TriMesh, found: ProximalFemur | None = None) -> Frame:
     """Return the frame of a right proximal femur: z up the shaft, x lateral (away from the head), y anterior.
 
     The origin lies on the shaft's axis at the height of the head's centre. A left femur has to be mirrored first: its y axis
-    would point backward. ``width`` is the diameter of the head.
+    would point backward. ``width`` is the diameter of the head. ``found`` is what :func:`analyze_proximal_femur` gives, if that is
+    known already.
 
     Raises
     ------
     GeometryError
         See :func:`analyze_proximal_femur`.
     """
-    found = analyze_proximal_femur(mesh)
+    found = found or analyze_proximal_femur(mesh)
     z = found.axis
     to_head = found.head - found.origin
     height = float(to_head @ z)
