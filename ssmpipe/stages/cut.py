@@ -29,9 +29,10 @@ class Config(StageConfig):
     seam_direction: Annotated[
         Vector,
         Field(
-            description="Side of both rims on which the cut ends where no landmark has the role seam, in the aligned frame [-]."
+            description="Side of both rims on which the cut ends where no landmark has the role seam, in the aligned frame [-]; of the "
+            "principal axes, y is on the same side in a mirror image, z is not."
         ),
-    ] = (0.0, 0.0, 1.0)
+    ] = (0.0, 1.0, 0.0)
     path: Annotated[
         Literal["edges", "geodesic"],
         Field(

@@ -15,6 +15,7 @@ from ssmpipe.runner.console import Console
 from ssmpipe.runner.project import load_project
 from ssmpipe.runner.run import run_project
 from ssmpipe.runner.run_options import RunOptions
+from ssmpipe.synth.aorta import write_cohort
 from tests.support.meshes import random_motion, relabeled
 
 COHORT = Path(__file__).resolve().parents[2] / "data_synthetic" / "femur_distal"
@@ -30,6 +31,18 @@ stages:
   - decimate: {{n_faces: {n_faces}}}
   - sample: {{grid: [60, 60]}}
   - optimize: {{n_coefficients: [6, 6], landmarks: [21, 21], max_iterations: 10, landmark_blocks: 1}}
+"""
+
+TUBES = """\
+name: laws
+input: {scans: scans/*.ply, units: mm}
+output: out
+anatomy: aorta
+stages:
+  - trim: {tube_mm: 45}
+  - decimate: {n_faces: 2500}
+  - sample: {grid: [60, 60]}
+  - optimize: {n_coefficients: [6, 6], landmarks: [21, 21], max_iterations: 10, landmark_blocks: 1}
 """
 
 
@@ -66,9 +79,13 @@ def chain(folder: Path, given: Scans, n_faces: int) -> dict[str, np.ndarray]:
         write_mesh(folder / "scans" / f"{key}.ply", mesh)
     rows = "".join(f"{key},{side}\n" for key, side in given.sides.items())
     (folder / "cohort.csv").write_text("id,side\n" + rows)
-    (folder / "laws.yaml").write_text(CONFIG.format(n_faces=n_faces))
+    return corresponded(folder, CONFIG.format(n_faces=n_faces), sorted(SIDES))
+
+
+def corresponded(folder: Path, config: str, ids: list[str]) -> dict[str, np.ndarray]:
+    (folder / "laws.yaml").write_text(config)
     done = run_project(load_project(folder / "laws.yaml"), RunOptions(jobs=1, last="optimize"), Console(-1))
-    assert (done.exit_code, sorted(done.ok)) == (0, sorted(SIDES)), done.failures
+    assert (done.exit_code, sorted(done.ok)) == (0, ids), done.failures
     with np.load(folder / "out" / "cohort" / "optimize" / "correspondence.npz") as z:
         return dict(z)
 
@@ -102,3 +119,33 @@ def test_pose_side_and_numbering_change_nothing(
     n_faces, expected = base
     away = moved_by(n_faces, way, expected, tmp_path / way)
     assert max(float(a.max()) for a in away.values()) < 1e-6
+
+
+def tubes(folder: Path, cohort: Path, way: str) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Return the corresponded points of aortas with stumps, holes, a lid and too short an end, and how their scans were moved."""
+    rng = np.random.default_rng(5)
+    (folder / "scans").mkdir(parents=True)
+    matrices = {}
+    for path in sorted((cohort / "scans").glob("*.ply")):
+        mesh, matrix = read_mesh(path), np.eye(4)
+        if way != "as they are":
+            matrix = random_motion(rng) @ (reflection(1) if way == "mirror" else np.eye(4))
+            mesh = TriMesh(apply(matrix, mesh.vertices), mesh.faces[:, ::-1] if way == "mirror" else mesh.faces)
+            mesh = relabeled(mesh, rng)[0]
+        matrices[path.stem] = matrix
+        write_mesh(folder / "scans" / path.name, mesh)
+    return corresponded(folder, TUBES, sorted(matrices)), matrices
+
+
+@pytest.mark.slow
+def test_pose_mirror_and_numbering_change_nothing_for_tubes(tmp_path: Path) -> None:
+    write_cohort(tmp_path / "cohort", n=4, spacing=1.4)
+    base, _ = tubes(tmp_path / "base", tmp_path / "cohort", "as they are")
+    for way in ("motion", "mirror"):
+        found, matrices = tubes(tmp_path / way, tmp_path / "cohort", way)
+        for name in ("initial_points_scan", "points_scan"):
+            points = found[name].reshape(4, *base["grid"], 3)
+            if way == "mirror":  # the outside stays outside, so that u runs the other way
+                points = np.roll(points[:, ::-1], 1, axis=1)
+            expected = np.stack([apply(matrices[str(k)], p) for k, p in zip(base["ids"], base[name], strict=True)])
+            assert np.abs(points.reshape(expected.shape) - expected).max() < 1e-6
