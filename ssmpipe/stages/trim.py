@@ -189,7 +189,7 @@ def run(mesh: TriMesh, landmarks: Landmarks | None = None, *, cfg: Config, ctx: 
 STAGE = Stage(
     name="trim",
     scope="shape",
-    version=5,  # sections through both ends of a tube as small as can be, the upper one at a landmark
+    version=6,  # continued ends do not depend on rounding: marches inward follow normals that are continuous
     config=Config,
     run=run,
     inputs=(Port("mesh", "trimesh"), Port("landmarks", "landmarks", optional=True)),
