@@ -238,7 +238,7 @@ def methods(options: Mapping[str, Any]) -> str:
 STAGE = Stage(
     name="trim",
     scope="shape",
-    version=5,  # sections through both ends of a tube as small as can be, the upper one at a landmark
+    version=6,  # continued ends do not depend on rounding: marches inward follow normals that are continuous
     config=Config,
     run=run,
     inputs=(

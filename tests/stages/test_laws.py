@@ -14,8 +14,9 @@ from ssmpipe.core.mesh.operators import volume
 from ssmpipe.core.mesh.primitives import sphere, star_shape
 from ssmpipe.core.mesh.topology import boundary_loops, compact, euler_characteristic
 from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.core.repair.trimming import cut_by_plane
 from ssmpipe.stages import decimate, fill_holes, repair, smooth, trim
-from tests.support.meshes import bent_tube, joined, random_motion, relabeled
+from tests.support.meshes import bent_tube, implicit_surface, joined, random_motion, relabeled
 
 
 def hurt() -> TriMesh:
@@ -35,6 +36,16 @@ def holed() -> TriMesh:
     return compact(pipe, far[pipe.faces].all(axis=1))
 
 
+def cut_aslant() -> TriMesh:
+    """Return a rough tube of marching cubes with slivers, bent a little, whose upper rim is 6 mm higher on one side."""
+    rough = lambda p: np.sin(3.1 * p[:, 0]) * np.sin(2.7 * p[:, 1] + 1.0) * np.sin(2.9 * p[:, 2] + 0.4 * p[:, 0])  # noqa: E731
+    pipe = implicit_surface(
+        lambda p: np.hypot(p[:, 0] - 0.005 * p[:, 2] ** 2, p[:, 1]) - 7.0 - 0.03 * p[:, 2] + 0.1 * rough(p), 16.0, 41
+    )
+    pipe = TriMesh(pipe.vertices, pipe.faces[:, ::-1])
+    return cut_by_plane(pipe, np.array([0.0, 0.0, 11.0]), np.array([0.4, 0.1, 1.0]), snap=0.0)
+
+
 CASES = {
     "decimate": (decimate, {"n_faces": 1500}, star_shape(4)),
     "decimate and keep the boundary": (decimate, {"n_faces": 1500, "keep_boundary": True}, bent_tube(40, 51)),
@@ -42,14 +53,19 @@ CASES = {
     "repair": (repair, {}, hurt()),
     "fill-holes": (fill_holes, {"keep_openings": 2}, holed()),
     "trim both ends": (trim, {"ends": 2}, bent_tube(40, 51)),
+    "trim and continue": (
+        trim,
+        {"ends": 2, "ends_at": "fractions", "end_fractions": (0.03, 0.9), "extend_mm": 5.0},
+        cut_aslant(),
+    ),
     "smooth taubin": (smooth, {}, star_shape(3)),
     "smooth bilaplacian": (smooth, {"method": "bilaplacian"}, bent_tube()),
     "smooth curvature-flow": (smooth, {"method": "curvature-flow"}, bent_tube()),
 }
 
 
-def go(stage, mesh: TriMesh, options) -> TriMesh:
-    ctx = Context("shape", np.random.default_rng(0), logging.getLogger("test"))
+def go(stage, mesh: TriMesh, options, ctx: Context | None = None) -> TriMesh:
+    ctx = ctx or Context("shape", np.random.default_rng(0), logging.getLogger("test"))
     inputs = {"landmarks": None} if any(port.slot == "landmarks" for port in stage.STAGE.inputs) else {}
     return stage.run(mesh=mesh, **inputs, cfg=stage.Config(**options), ctx=ctx)["mesh"]
 
@@ -87,11 +103,19 @@ def test_each_stage_keeps_the_euler_characteristic_that_it_should():
         "repair": 2,
         "fill-holes": 0,
         "trim both ends": 0,
+        "trim and continue": 0,
         "smooth taubin": 2,
         "smooth bilaplacian": 0,
         "smooth curvature-flow": 0,
     }
     assert len(boundary_loops(after["fill-holes"].faces)) == 2
+
+
+def test_the_case_that_is_continued_is_continued():
+    ctx = Context("shape", np.random.default_rng(0), logging.getLogger("test"))
+    stage, options, mesh = CASES["trim and continue"]
+    go(stage, mesh, options, ctx)
+    assert ctx.metrics["added_1_mm"] > 1.0
 
 
 @pytest.mark.parametrize("name", ["repair", "fill-holes"])

@@ -6,8 +6,8 @@ import numpy as np
 
 from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.errors import TopologyError
-from ssmpipe.core.mesh.distance import point_to_mesh
-from ssmpipe.core.mesh.operators import face_normals, mean_edge_length
+from ssmpipe.core.mesh.distance import interpolate, point_to_mesh
+from ssmpipe.core.mesh.operators import mean_edge_length, vertex_normals
 from ssmpipe.core.mesh.topology import boundary_loops, loop_length
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.repair.trimming import trim
@@ -76,8 +76,13 @@ def extend(mesh: TriMesh, loop: Ints, direction: Floats, length: float, *, fit: 
     index = np.vstack([loop, mesh.n_vertices + np.arange(n_rings * n).reshape(n_rings, n)])
     a, b = index[:-1], np.roll(index, -1, axis=1)[:-1]
     c, d = index[1:], np.roll(index, -1, axis=1)[1:]
-    strip = np.vstack([np.column_stack([x.ravel() for x in t]) for t in ((b, a, c), (b, c, d))])
-    return TriMesh(np.vstack([mesh.vertices, rings.reshape(-1, 3)]), np.vstack([mesh.faces, strip]))
+    a, b, c, d = a.ravel(), b.ravel(), c.ravel(), d.ravel()
+    vertices = np.vstack([mesh.vertices, rings.reshape(-1, 3)])
+    # the shorter diagonal, the same one in the mirror image; of equal ones always the same, whatever rounding says
+    ad, bc = (np.linalg.norm(vertices[x] - vertices[y], axis=1) for x, y in ((a, d), (b, c)))
+    last, first = np.where(ad < (1.0 - 1e-9) * bc, [d, a], [c, b])
+    strip = np.vstack([np.column_stack([b, a, last]), np.column_stack([first, c, d])])
+    return TriMesh(vertices, np.vstack([mesh.faces, strip]))
 
 
 def _course(paths: Floats, at: Floats) -> Floats:
@@ -122,16 +127,21 @@ def trim_or_extend(
 def _march_inward(
     mesh: TriMesh, points: Floats, outward: Floats, fit: float, n_steps: int = 16
 ) -> tuple[Floats, Floats]:
-    """Return positions (n_steps + 1, n, 3) along the surface and their arc lengths (n_steps + 1, n), negative inward."""
-    normals = face_normals(mesh)
+    """Return positions (n_steps + 1, n, 3) along the surface and their arc lengths (n_steps + 1, n), negative inward.
+
+    The direction of a step is that of the normals at the vertices, interpolated: continuous on the surface, so that it does not
+    depend on which of the faces at an edge or a vertex (every path starts in one) is taken for the nearest.
+    """
+    normals = vertex_normals(mesh)
     positions, lengths = [points], [np.zeros(len(points))]
-    face = point_to_mesh(points, mesh)[1]
+    _, face, weights = point_to_mesh(points, mesh)
     for _ in range(n_steps):
-        normal = normals[face]
+        normal = interpolate(normals, mesh, face, weights)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
         tangent = (normal @ outward)[:, None] * normal - outward
         tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-12)
         _, face, weights = point_to_mesh(positions[-1] + fit / n_steps * tangent, mesh)
-        reached = np.einsum("nk,nkd->nd", weights, mesh.vertices[mesh.faces[face]])
+        reached = interpolate(mesh.vertices, mesh, face, weights)
         lengths.append(lengths[-1] - np.linalg.norm(reached - positions[-1], axis=1))
         positions.append(reached)
     if float(-lengths[-1].max()) < 0.5 * fit:
