@@ -25,11 +25,13 @@ from tests.support.engines import OPTIONS, Killing, optimized
 from tests.support.surfaces import bumps
 
 
-def test_serial_and_processes_give_the_same_bits_also_when_one_is_killed(tmp_path: Path) -> None:
-    serial = optimized(None)
+@pytest.mark.parametrize("normals", [0.0, 0.8])
+def test_serial_and_processes_give_the_same_bits_also_when_one_is_killed(tmp_path: Path, normals: float) -> None:
+    options = replace(OPTIONS, normals=normals)
+    serial = optimized(None, options)
     with ProcessEngine(2, tmp_path / "shared") as engine:
         killing = Killing(engine, lambda: engine.pids, after=7)
-        assert optimized(killing) == serial
+        assert optimized(killing, options) == serial
         assert killing.n_killed == 1
         assert engine.bytes_moved > 0
     assert list(tmp_path.iterdir()) == []
