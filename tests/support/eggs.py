@@ -40,11 +40,13 @@ def ssmpipe(*args: object) -> tuple[int, str]:
     return result.exit_code, result.output
 
 
-def model_of_eggs(folder: Path, n: int = 6) -> Path:
-    """Run the chain of curves on some eggs; return the output folder."""
+def model_of_eggs(folder: Path, n: int = 6, **options: object) -> Path:
+    """Run the chain of curves on some eggs, with more options of ``optimize``; return the output folder."""
     eggs = write_eggs(folder / "eggs", range(n))
     code, text = ssmpipe("init", "curve", eggs, "-o", folder / "eggs.yaml")
     assert code == 0, text
-    code, text = ssmpipe("run", folder / "eggs.yaml", "--set", "stages.optimize.landmarks=[60]", "-j", "1", "-q")
+    chosen = {"landmarks": "[60]"} | options
+    sets = [word for name, value in chosen.items() for word in ("--set", f"stages.optimize.{name}={value}")]
+    code, text = ssmpipe("run", folder / "eggs.yaml", *sets, "-j", "1", "-q")
     assert code == 0, text
     return folder / "out" / "eggs"

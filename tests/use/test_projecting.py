@@ -96,6 +96,36 @@ def test_another_scan_does_not_change_the_result(
         assert alone.read_bytes() == together.read_bytes(), name
 
 
+def test_curves_join_a_model_with_tangents_by_their_own(strangers: Path, tmp_path: Path) -> None:
+    """Shapes of the cohort come back nearer than to the same model without its tangents, and a stranger joins."""
+    result = model_of_eggs(tmp_path, normals=0.5, normalize="affine")
+    model = read_model(result / "cohort/model/model.npz")
+    assert model.normals is not None
+    assert model.normals.shape == model.training_points.shape
+    np.testing.assert_allclose(np.linalg.norm(model.normals, axis=2), 1.0, atol=0.02)
+    along = np.roll(model.training_points, -1, axis=1) - np.roll(model.training_points, 1, axis=1)
+    along /= np.linalg.norm(along, axis=2, keepdims=True)
+    assert (model.normals * along).sum(axis=2).min() > 0.98
+    write_model(tmp_path / "blind.npz", replace(model, normals=None, normal_scale=0.0))
+    known = ("egg1", "egg2", "egg4", "egg5")
+    scans = [*(tmp_path / f"eggs/{i}.csv" for i in known), strangers / "egg20.csv"]
+    off = []
+    for name, at in (("seeing", result), ("blind", tmp_path / "blind.npz")):
+        code, text = ssmpipe("project", at, *scans, "-o", tmp_path / name)
+        assert code == 0, text
+        assert {row["certificate"] for row in rows(tmp_path / name).values()} == {"proved"}
+        found = np.stack([read_npz(tmp_path / name / f"patients/{i}/projection.npz")["points"] for i in known])
+        off.append(rms(found - model.training_points[[model.ids.index(i) for i in known]]))
+    assert off[0] < 0.8 * off[1]
+    assert off[0] < 0.002 * rms(model.mean - model.mean.mean(axis=0))
+    new = [read_npz(tmp_path / name / "patients/egg20/projection.npz")["points"] for name in ("seeing", "blind")]
+    assert 0 < rms(new[0] - new[1]) < 1.0
+
+
+def rms(offsets: np.ndarray) -> float:
+    return float(np.sqrt((offsets**2).sum(axis=-1).mean()))
+
+
 def test_numbers_and_files_agree(result: Path, projected: Path) -> None:
     model = read_model(result / "cohort/model/model.npz")
     row = rows(projected)["egg20"]

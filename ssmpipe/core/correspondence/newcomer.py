@@ -201,7 +201,7 @@ class FixedCohort:
     options : EngineOptions
         Of the group; the boundary mode resolved, the threshold given.
     normals : (n_S, n_P, d) float64, optional
-        Unit normals of the points, where the group weighed them.
+        Unit normals of the points (curves: tangents), where the group weighed them.
     normal_scale : float
         What the group multiplied them with [mm].
 
@@ -260,7 +260,7 @@ class FixedCohort:
         if options.normalize == "affine":
             linear, offset = affine_to_mean(self._sized, self.pose_weights)
             self.fixed = self._sized @ np.swapaxes(linear, 1, 2) + offset[:, None]
-            normals = carried(normals, linear) if normals is not None else None
+            normals = carried(normals, linear, tangents=len(grid) == 1) if normals is not None else None
         self.normal_scale = normal_scale if normals is not None else 0.0
         self.seen = self.fixed
         if normals is not None:

@@ -103,15 +103,18 @@ def _raw(jet: Jet) -> Floats:
     return jet.first[0][0] if len(jet.first) == 1 else np.cross(jet.first[0][0], jet.first[1][0])
 
 
-def carried(normals: Floats, linear: Floats) -> Floats:
-    """Return (n_S, n_P, d) normals after the linear maps (n_S, d, d) of their shapes; lengths stay.
+def carried(normals: Floats, linear: Floats, *, tangents: bool = False) -> Floats:
+    """Return (n_S, n_P, d) normals after the linear maps (n_S, d, d) of their shapes, or the tangents of curves; lengths stay.
 
     Examples
     --------
-    >>> carried(np.array([[[0.6, 0.8]]]), np.array([np.diag([2.0, 1.0])])).round(3)
+    >>> stretch = np.array([np.diag([2.0, 1.0])])
+    >>> carried(np.array([[[0.6, 0.8]]]), stretch).round(3)
     array([[[0.351, 0.936]]])
+    >>> carried(np.array([[[0.8, -0.6]]]), stretch, tangents=True).round(3)
+    array([[[ 0.936, -0.351]]])
     """
-    moved = normals @ np.linalg.inv(linear)
+    moved = normals @ (np.swapaxes(linear, 1, 2) if tangents else np.linalg.inv(linear))
     return np.asarray(moved * (np.linalg.norm(normals, axis=-1) / np.linalg.norm(moved, axis=-1))[..., None])
 
 

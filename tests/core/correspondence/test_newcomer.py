@@ -82,6 +82,23 @@ def test_the_fixed_shapes_are_seen_as_the_group_saw_them():
     np.testing.assert_allclose(spectrum.eigenvalues, optimum.eigenvalues, rtol=0.02, atol=optimum.lambda_cut)
 
 
+@pytest.mark.parametrize("normalize", ["none", "size", "affine"])
+def test_fixed_curves_are_seen_with_their_tangents_as_the_group_saw_them(normalize):
+    splines = line_bumps(6, n_control=20, tilt=0.3)
+    options = EngineOptions(n_coefficients=(8,), landmarks=(41,), normals=0.5, normalize=normalize, barriers=(3.0,))
+    optimum = optimize_correspondence(splines, options).value
+    options = replace(options, lambda_cut=optimum.lambda_cut)
+    seen = {"normals": optimum.normals, "normal_scale": optimum.normal_scale}
+    fixed = FixedCohort(optimum.points, (41,), closes=False, options=options, **seen)
+    centred, spectrum = centred_spectrum(fixed.seen, fixed.weights)
+    assert centred.shape[2] == 4
+    np.testing.assert_allclose(spectrum.eigenvalues[0], optimum.eigenvalues[0], rtol=0.01)
+    for k in range(1, 5):
+        found = bring_in(splines[k], fixed).value
+        start, end = rms(found.initial_points - optimum.points[k]), rms(found.points - optimum.points[k])
+        assert end < max(0.1 * start, 0.02), k
+
+
 def test_a_new_shape_is_put_into_correspondence():
     fixed, stranger = cohort(), bumps(1, seed=9)[0]
     found = bring_in(stranger, fixed).value

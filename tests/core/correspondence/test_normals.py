@@ -8,6 +8,7 @@ from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.spline.evaluate import SplineStack
 from ssmpipe.core.spline.fit import fit_surface
 from ssmpipe.core.spline.surface import BSplineSurface
+from tests.support.cohorts import line_bumps
 from tests.support.surfaces import bump, wrapped
 
 RNG = np.random.default_rng(4)
@@ -78,6 +79,15 @@ def test_normals_are_carried_by_linear_maps():
     parameters = RNG.uniform(0, 1, size=(50, 2))
     n = exact(spline, (False, False), parameters)
     np.testing.assert_allclose(carried(n[None], linear[None])[0], exact(moved, (False, False), parameters), atol=1e-12)
+
+
+def test_tangents_are_carried_by_linear_maps():
+    curve = line_bumps(1, tilt=0.1)[0]
+    linear = np.array([[1.2, 0.5], [-0.1, 0.8]])
+    moved = curve.with_control(curve.control_points @ linear.T)
+    first = [SplineStack([s]).evaluate(np.linspace(0, 1, 20)[None, :, None]).first[0][0] for s in (curve, moved)]
+    before, after = (t / np.linalg.norm(t, axis=1, keepdims=True) for t in first)
+    np.testing.assert_allclose(carried(before[None], linear[None], tangents=True)[0], after, atol=1e-12)
 
 
 def test_the_weight_counts_spreads_and_the_field_moves_with_the_shape():
