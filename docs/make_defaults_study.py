@@ -25,6 +25,7 @@ sys.path.insert(0, str(HERE))
 
 import study_cohorts  # noqa: E402
 
+from ssmpipe.core.correspondence.normals import DEFAULT_NORMALS  # noqa: E402
 from ssmpipe.core.correspondence.optimize import optimize_correspondence  # noqa: E402
 from ssmpipe.core.correspondence.options import EngineOptions  # noqa: E402
 from ssmpipe.core.correspondence.reparameterization import Reparameterization  # noqa: E402
@@ -32,6 +33,7 @@ from ssmpipe.core.spline.evaluate import SplineStack  # noqa: E402
 
 DEFAULT = EngineOptions()
 FACTORS: dict[str, list[tuple[str, dict]]] = {
+    "normals": [(f"{w:g}", {"normals": w}) for w in (0.0, 0.3, 0.8, 1.6)],
     "normalization": [(n, {"normalize": n}) for n in ("none", "size", "affine")],
     "prior": [(f"{p:g}", {"prior": p}) for p in (0.0, 0.001, 0.01, 0.1, 1.0)],
     "last barrier": [
@@ -77,6 +79,7 @@ def options_for(cohort: study_cohorts.Cohort, change: dict) -> EngineOptions:
         n_coefficients=cohort.n_coefficients,
         landmarks=cohort.landmarks,
         boundary="periodic" if closed else DEFAULT.boundary,
+        normals=0.0 if len(cohort.n_coefficients) == 1 else DEFAULT_NORMALS,
     )
     size = change.pop("size", None)
     if size:

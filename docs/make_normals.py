@@ -10,6 +10,11 @@ takes the splines and all other options of its run.
 
 writes nothing; it prints the error of each bone left out of the group and brought in afterwards, and of half a bone completed from the
 other half by the posterior of the model of the others, with and without normals.
+
+    python docs/make_normals.py --families FOLDER ... --starts
+
+writes nothing either; it prints error and description length of both starts of the optimization, with normals, for every cohort: a
+table of ``families.md``.
 """
 
 from __future__ import annotations
@@ -32,6 +37,7 @@ from study_cohorts import fitted  # noqa: E402
 
 from ssmpipe.core.correspondence.choices import boundary_of, start_of  # noqa: E402
 from ssmpipe.core.correspondence.newcomer import FixedCohort, bring_in  # noqa: E402
+from ssmpipe.core.correspondence.normals import DEFAULT_NORMALS  # noqa: E402
 from ssmpipe.core.correspondence.optimize import optimize_correspondence  # noqa: E402
 from ssmpipe.core.correspondence.optimum import Optimum  # noqa: E402
 from ssmpipe.core.correspondence.options import EngineOptions  # noqa: E402
@@ -169,6 +175,23 @@ def print_price(run: Path, marks: Callable[[list[str], np.ndarray], Error]) -> N
         )
 
 
+def print_starts(name: str, run: Path, make: Callable[[list[str], np.ndarray], Error]) -> None:
+    """Print error and description length at the end of both starts."""
+    ids, splines, matrices = fitted(run)
+    options, error = options_of(run, splines), make(ids, matrices)
+    topology = surface_topology(splines[0])
+    wraps, last = topology != "disk", topology in ("cone", "closed")
+    faces = grid_faces(*options.landmarks, periodic_u=wraps, pole_start=topology == "closed", pole_end=last)
+    cells = []
+    for start in ("identity", "affine"):
+        found = optimize_correspondence(splines, replace(options, normals=DEFAULT_NORMALS, start=start)).value
+        assert all(c.verdict == "proved" for c in found.certificates)
+        cells.append((float(error(found, found.points, faces).mean()), found.description_length[1]))
+    best = min(e for e, _ in cells)
+    shown = [f"{f'**{e:.2f}**' if e == best else f'{e:.2f}'}, {length:.2f}" for e, length in cells]
+    print(f"| {name} ({topology}) | " + " | ".join(shown) + " |", flush=True)
+
+
 def cohorts(options: argparse.Namespace) -> list[tuple[str, Path, Callable[[list[str], np.ndarray], Error]]]:
     """Return name, run and error of all that is there."""
     found: list[tuple[str, Path, Callable[[list[str], np.ndarray], Error]]] = []
@@ -212,7 +235,12 @@ def main() -> None:
     for name in ("--families", "--synthetic", "--femora", "--distal", "--proximal"):
         parser.add_argument(name, type=Path)
     parser.add_argument("--price", action="store_true")
+    parser.add_argument("--starts", action="store_true")
     options = parser.parse_args()
+    if options.starts:
+        for cohort in cohorts(options):
+            print_starts(*cohort)
+        return
     if options.price:
         print_price(*cohorts(options)[0][1:])
         return
