@@ -35,8 +35,9 @@ def lumps(n: int, seed: int = 0) -> np.ndarray:
 
 
 @cache
-def setting():
-    every = lumps(15)
+def setting(sizes=0.0, own=1.0):
+    """A model, its remainder and a new shape in another pose; sizes vary by a share, the new shape has its own."""
+    every = lumps(15) * np.r_[1 + sizes * np.random.default_rng(1).normal(size=14), own][:, None, None]
     weights = np.full(every.shape[1], 1 / every.shape[1])
     posed = generalized_procrustes(every[:-1], weights, remove_size=False)
     points = every[:-1] @ np.swapaxes(posed.rotation, 1, 2) + posed.translation[:, None]
@@ -70,6 +71,15 @@ def test_a_fragment_in_any_pose_is_completed_better_than_by_the_mean(axis):
     assert inside.mean() > 0.85
     assert 0.3 < found.seen.mean() < 0.7
     assert not found.seen[missing].all()
+
+
+def test_a_fragment_of_a_much_larger_shape_is_not_placed_askew():
+    """On the mean alone its best pose was half a turn off."""
+    model, remainder, whole = setting(sizes=0.08, own=1.15)
+    part, missing = fragment(whole, 0, 0.6)
+    found = complete(part, model, remainder)
+    completed = apply(np.linalg.inv(found.matrix), found.points)
+    assert np.linalg.norm(completed - whole.vertices, axis=1)[missing].mean() < 0.2
 
 
 def test_what_was_seen_is_surer_than_what_was_not():
