@@ -118,6 +118,11 @@ def mapped(mesh: TriMesh) -> Inputs:
     return {"mesh": made["mesh"], "uv": made["uv"]}
 
 
+def sampled(mesh: TriMesh) -> Inputs:
+    inputs = mapped(mesh)
+    return {"samples": go("sample", inputs, {})[0]["samples"], "mesh": inputs["mesh"]}
+
+
 CELLS: dict[str, tuple[str, str, Callable[[TriMesh], Inputs], dict[str, Any]]] = {
     "repair, STL soup": ("lump", "repair", lambda m: {"mesh": soup(m)}, {}),
     "orient, box": (
@@ -146,6 +151,7 @@ CELLS: dict[str, tuple[str, str, Callable[[TriMesh], Inputs], dict[str, Any]]] =
     "parameterize, cone": ("lump", "parameterize", lambda m: {"mesh": disk(m)}, {"topology": "cone"}),
     "parameterize, closed": ("lump", "parameterize", lambda m: {"mesh": m}, {"topology": "closed"}),
     "sample, 200 x 200": ("lump", "sample", mapped, {}),
+    "fit": ("lump", "fit", sampled, {}),
 }
 
 
