@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -10,7 +11,8 @@ from ssmpipe.contract import Context, Port, Stage, StageConfig
 from ssmpipe.core.mesh.operators import area, volume
 from ssmpipe.core.mesh.topology import boundary_loops, genus
 from ssmpipe.core.mesh.trimesh import TriMesh
-from ssmpipe.core.repair.cleaning import check_handles, check_openings, clean
+from ssmpipe.core.repair.cleaning import Cleaned, check_handles, check_openings, clean
+from ssmpipe.core.repair.flat_faces import flat_faces
 from ssmpipe.core.repair.handles import cut_handles
 from ssmpipe.core.repair.intersections import crossings, intersecting_pairs, repair_intersections
 from ssmpipe.core.repair.spikes import Spike, find_spikes, remove_spikes
@@ -96,6 +98,7 @@ def run(mesh: TriMesh, *, cfg: Config, ctx: Context) -> dict[str, Any]:
     ctx.metric("n_loops", len(boundary_loops(result.faces)))
     ctx.metric("area_mm2", area(result))
     ctx.metric("volume_mm3", volume(result))
+    _warn_of_flat_faces(cleaned, ctx)
     dropped = cleaned.changes["dropped_components"]
     if cleaned.dropped_area_fraction >= cfg.debris_fraction:
         ctx.warn(
@@ -105,6 +108,18 @@ def run(mesh: TriMesh, *, cfg: Config, ctx: Context) -> dict[str, Any]:
     elif dropped:
         ctx.log.info("%d small components dropped (%.2f %% of the area)", dropped, 100 * cleaned.dropped_area_fraction)
     return {"mesh": result}
+
+
+def _warn_of_flat_faces(cleaned: Cleaned, ctx: Context) -> None:
+    n_left = cleaned.changes["flat_faces_left"]
+    if n_left == 0:
+        return
+    mesh = cleaned.mesh
+    middles = mesh.vertices[mesh.faces[flat_faces(mesh)]].mean(axis=1)
+    places = ", ".join(f"({_place(middle)}) mm" for middle in middles[:4]) + (", ..." if len(middles) > 4 else "")
+    ctx.warn(
+        f"{n_left} faces without area could not be removed: {places}; the surface is folded or pinched there, repair the segmentation"
+    )
 
 
 def _without_spikes(mesh: TriMesh, cfg: Config, ctx: Context) -> TriMesh:
@@ -129,7 +144,7 @@ def _list(spikes: list[Spike]) -> str:
     return ", ".join(text[:4]) + (", ..." if len(text) > 4 else "")
 
 
-def _place(place: tuple[float, float, float]) -> str:
+def _place(place: Iterable[float]) -> str:
     return ", ".join(f"{c:.1f}" for c in place)
 
 
@@ -157,12 +172,12 @@ def _without_intersections(mesh: TriMesh, cfg: Config, ctx: Context) -> TriMesh:
 STAGE = Stage(
     name="repair",
     scope="shape",
-    version=2,
+    version=3,  # faces without area are removed
     config=Config,
     run=run,
     inputs=(Port("mesh", "trimesh"),),
     outputs=(Port("mesh", "trimesh"),),
-    methods="Raw surfaces were cleaned of duplicate vertices, degenerate and duplicate faces, non-manifold fins and debris, "
-    "and oriented outward; needles narrower than {spike_width} edges were removed (0: none), and self-intersections treated by: "
+    methods="Raw surfaces were cleaned of duplicate vertices, degenerate and duplicate faces, faces without area, non-manifold fins and "
+    "debris, and oriented outward; needles narrower than {spike_width} edges were removed (0: none), and self-intersections treated by: "
     "{self_intersections}.",
 )

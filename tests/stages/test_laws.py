@@ -16,7 +16,7 @@ from ssmpipe.core.mesh.topology import boundary_loops, compact, euler_characteri
 from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.repair.trimming import cut_by_plane
 from ssmpipe.stages import decimate, fill_holes, repair, smooth, trim
-from tests.support.meshes import bent_tube, implicit_surface, joined, random_motion, relabeled
+from tests.support.meshes import bent_tube, implicit_surface, joined, random_motion, relabeled, with_caps
 
 
 def hurt() -> TriMesh:
@@ -51,6 +51,7 @@ CASES = {
     "decimate and keep the boundary": (decimate, {"n_faces": 1500, "keep_boundary": True}, bent_tube(40, 51)),
     "decimate by qslim": (decimate, {"n_faces": 1500, "method": "qslim"}, star_shape(4)),
     "repair": (repair, {}, hurt()),
+    "repair faces without area": (repair, {"max_openings": 2}, with_caps(bent_tube(40, 51), 100)),
     "fill-holes": (fill_holes, {"keep_openings": 2}, holed()),
     "trim both ends": (trim, {"ends": 2}, bent_tube(40, 51)),
     "trim and continue": (
@@ -101,6 +102,7 @@ def test_each_stage_keeps_the_euler_characteristic_that_it_should():
         "decimate and keep the boundary": 0,
         "decimate by qslim": 2,
         "repair": 2,
+        "repair faces without area": 0,
         "fill-holes": 0,
         "trim both ends": 0,
         "trim and continue": 0,
@@ -118,7 +120,7 @@ def test_the_case_that_is_continued_is_continued():
     assert ctx.metrics["added_1_mm"] > 1.0
 
 
-@pytest.mark.parametrize("name", ["repair", "fill-holes"])
+@pytest.mark.parametrize("name", ["repair", "repair faces without area", "fill-holes"])
 def test_twice_is_once(name):
     stage, options, mesh = CASES[name]
     once = go(stage, mesh, options)

@@ -46,6 +46,20 @@ def noisy(mesh: TriMesh, rng: np.random.Generator, sigma: float) -> TriMesh:
     return TriMesh(mesh.vertices + sigma * rng.normal(size=mesh.vertices.shape), mesh.faces)
 
 
+def with_caps(mesh: TriMesh, number: int, seed: int = 0, share: tuple[float, float] = (0.2, 0.8)) -> TriMesh:
+    """Put vertices on sides of faces, and a face without area between each of them and its side; one on another, too."""
+    rng = np.random.default_rng(seed)
+    vertices, faces = list(mesh.vertices), [tuple(face) for face in mesh.faces]
+    for k in rng.integers(0, len(faces), number):
+        a, b, c = np.roll(faces[k], rng.integers(3))
+        t = rng.uniform(*share)
+        new = len(vertices)
+        vertices.append((1.0 - t) * vertices[a] + t * vertices[b])
+        faces[k] = (a, new, c)
+        faces += [(new, b, c), (a, b, new)]
+    return TriMesh(np.array(vertices), np.array(faces))
+
+
 def box(low: tuple[float, float, float], size: float = 1.0) -> TriMesh:
     """Return a cube of twelve triangles, outward."""
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)

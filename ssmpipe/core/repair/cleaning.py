@@ -24,6 +24,7 @@ from ssmpipe.core.mesh.topology import (
     unique_edges,
 )
 from ssmpipe.core.mesh.trimesh import TriMesh
+from ssmpipe.core.repair.flat_faces import remove_flat_faces
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +37,7 @@ class Cleaned:
         Edge- and vertex-manifold, oriented, one component.
     changes : dict of str to int
         Counts: merged_vertices, degenerate_faces, duplicate_faces, fin_faces, flipped_faces, split_vertices,
-        dropped_components, dropped_faces, unused_vertices.
+        dropped_components, dropped_faces, unused_vertices; flat_faces (removed) and flat_faces_left.
     dropped_area_fraction : float
         Share of the area that was dropped as debris.
     """
@@ -57,7 +58,8 @@ def clean(
 
     In this order: merge vertices that coincide; drop faces that repeat a vertex; drop duplicate faces; drop fins (faces
     with an open side on an edge of more than two faces); orient faces alike; part what only touches along edges or in
-    vertices; drop small components; turn the surface outward.
+    vertices; drop small components; remove faces without area (see :mod:`ssmpipe.core.repair.flat_faces`); turn the surface
+    outward.
 
     Parameters
     ----------
@@ -122,7 +124,8 @@ def clean(
     keep = int(large[np.argmax(share[large])])
     changes["dropped_components"] = len(area) - 1
     changes["dropped_faces"] = int((label != keep).sum())
-    kept = compact(split, label == keep)
+    kept, n_flat, n_left = remove_flat_faces(compact(split, label == keep))
+    changes["flat_faces"], changes["flat_faces_left"] = n_flat - n_left, n_left
     if not points_outward(kept):
         kept = TriMesh(kept.vertices, kept.faces[:, ::-1])
         changes["flipped_faces"] = len(kept.faces) - changes["flipped_faces"]
