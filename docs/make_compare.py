@@ -15,8 +15,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from ssmpipe.core.statistics.comparison import Options, Pair, compare_groups
-from ssmpipe.report.comparison import COLOURS, difference_pictures
-from ssmpipe.report.figures import SIGNED
+from ssmpipe.report.comparison import difference_pictures
+from ssmpipe.report.figures import CATEGORIES, SIGNED
 from ssmpipe.use.groups import GroupOptions, load_cohort
 from tests.support.groups import CamFemora, cam_femora
 
@@ -78,8 +78,10 @@ def mice(result: Path) -> None:
         strong = pair.along_normal.q <= 0.05
         for group in (pair.first, pair.second):
             points = found.group_means[group]
-            panel.plot(*np.concatenate([points, points[:1]]).T, color=COLOURS[group], lw=1, label=cohort.groups[group])
-            panel.plot(*np.where(strong[:, None], points, np.nan).T, color=COLOURS[group], lw=3.2)
+            panel.plot(
+                *np.concatenate([points, points[:1]]).T, color=CATEGORIES[group], lw=1, label=cohort.groups[group]
+            )
+            panel.plot(*np.where(strong[:, None], points, np.nan).T, color=CATEGORIES[group], lw=3.2)
         panel.set_aspect("equal")
         panel.set_axis_off()
         panel.legend(loc="lower center", ncols=2, fontsize=8, frameon=False, bbox_to_anchor=(0.5, -0.12))

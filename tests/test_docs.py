@@ -77,6 +77,74 @@ def test_commands_of_the_tutorials_are_known() -> None:
         assert f"../figures/tutorial_{path.stem}.png" in text
 
 
+FOLDERS = ("ssmpipe", "tests", "benchmarks")
+
+
+def scripts() -> list[Path]:
+    return sorted(path for folder in ("docs", "benchmarks", "examples") for path in (ROOT / folder).rglob("*.py"))
+
+
+def module_file(module: str, beside: Path) -> Path | None:
+    """Where a module of this repository lies, or of the scripts beside one; None for those of libraries."""
+    folder = ROOT if module.split(".")[0] in FOLDERS else beside
+    path = folder.joinpath(*module.split("."))
+    found = [file for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file()]
+    if folder == ROOT and not found and not path.is_dir():
+        raise AssertionError(f"no module {module}")
+    return found[0] if found else path if folder == ROOT else None
+
+
+def names_in(path: Path) -> set[str]:
+    """What a module defines, read and not run: no optional library is needed for it."""
+    if path.is_dir():
+        return set()
+    found: set[str] = set()
+    waiting: list[ast.AST] = [ast.parse(path.read_text(encoding="utf-8"))]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            found.add(node.name)
+            continue
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            found |= {(alias.asname or alias.name).split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            found.add(node.id)
+        waiting += ast.iter_child_nodes(node)
+    return found
+
+
+def missing_imports(path: Path, text: str) -> list[str]:
+    """Names that a script imports from this repository, and that are not there."""
+    missing = []
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                module_file(alias.name, path.parent)
+        if not isinstance(node, ast.ImportFrom) or not node.module:
+            continue
+        file = module_file(node.module, path.parent)
+        if file is None:
+            continue
+        package = file if file.is_dir() else file.parent if file.name == "__init__.py" else None
+        inside = {child.stem for child in package.iterdir()} if package else set()
+        missing += [f"{node.module}.{alias.name}" for alias in node.names if alias.name not in names_in(file) | inside]
+    return missing
+
+
+def test_scripts_import_what_there_is() -> None:
+    paths = scripts()
+    assert len([path for path in paths if path.name.startswith("make_")]) > 15
+    assert {
+        str(path.relative_to(ROOT)): missing
+        for path in paths
+        if (missing := missing_imports(path, path.read_text(encoding="utf-8")))
+    } == {}
+    gone = "from ssmpipe.report.comparison import COLOURS, difference_pictures"
+    assert missing_imports(DOCS / "make_compare.py", gone) == ["ssmpipe.report.comparison.COLOURS"]
+    with pytest.raises(AssertionError, match=r"no module ssmpipe\.nowhere"):
+        missing_imports(DOCS / "make_compare.py", "import ssmpipe.nowhere")
+
+
 @pytest.mark.slow
 def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     pytest.importorskip("mkdocs", reason="pip install 'ssmpipe[docs]'")
