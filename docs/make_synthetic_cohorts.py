@@ -212,7 +212,8 @@ def main() -> None:
 
 Made by `python docs/make_synthetic_cohorts.py`: `ssmpipe synth` writes the scans ([what is wrong with them](synthetic.md)), the presets
 `aorta` (with `trim.tube_mm: 55`, the length to model) and `femur-proximal` run without landmarks, and the truth, which no stage saw,
-measures the result.
+measures the result. The same runs as configs, with the `synth` command that makes the data: `configs/aorta.yaml`,
+`configs/femur_proximal_groups.yaml`.
 
 """
     page.write_text(head + "\n".join(parts))
