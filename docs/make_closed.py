@@ -2,15 +2,19 @@
 
     python docs/make_closed.py --data FOLDER [--work FOLDER]
 
-FOLDER holds ``spleen/scans/*.vtk`` and ``femur_vsd`` with ``scans/*.ply``, ``cohort.csv`` and ``landmarks.json``.
+FOLDER holds ``spleen/scans/*.vtk``, ``vertebra_l1/scans/*.ply``, and ``femur_vsd`` with ``scans/*.ply``, ``cohort.csv`` and
+``landmarks.json``.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
+import re
 import sys
 import tempfile
+import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -64,6 +68,31 @@ def fit_text(out: Path, ids: list[str]) -> str:
     )
 
 
+def refused_text(vertebrae: Path, work: Path) -> str:
+    """Run vertebrae, which have a canal, and quote how they are refused."""
+    out, config = work / "vertebrae", work / "vertebrae.yaml"
+    work.mkdir(parents=True, exist_ok=True)
+    config.write_text(
+        f"name: vertebrae\ninput: {{scans: {vertebrae}/scans/*.ply, units: mm}}\noutput: {out}\nanatomy: closed\n"
+    )
+    code = run(["run", str(config), "-q"])[0]
+    failed = json.loads((out / "failures.json").read_text(encoding="utf-8"))
+    n_scans = len(list(vertebrae.glob("scans/*.ply")))
+    (stage,) = {f["stage"] for f in failed.values()}
+    loops = ", ".join(re.findall(r"loop of ([0-9.]+) mm", " ".join(f["error"] for f in failed.values())))
+    first, why = next(iter(failed.items()))
+    quoted = f"failed: {first}, {why['stage']}, {why['file']}: {why['error']}; try: {why['remedy']}"
+    return f"""## What is refused
+
+Anatomy with a true hole has no map between two poles, and is named, not mapped: {len(failed)} of {n_scans} L1 vertebrae (`vertebra_l1`,
+preset `closed`) are refused in `{stage}`, each with the place of its canal (loops of {loops} mm), and the run ends with exit code {code}:
+
+```
+{textwrap.fill(quoted, 140, break_long_words=False, break_on_hyphens=False)}
+```
+"""
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--data", type=Path, required=True)
@@ -108,7 +137,8 @@ def main() -> None:
                 "Over all ordered pairs. The raters of these landmarks differ by 2.7 to 5.8 mm among each other.\n"
             ]
         text += ["### Model\n", measures_text(out)]
-    (HERE / "closed.md").write_text("\n".join(text) + "\n", encoding="utf-8")
+    text += [refused_text(data / "vertebra_l1", options.work)]
+    (HERE / "closed.md").write_text("\n".join(text), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -116,9 +116,17 @@ def main() -> None:
     text += ["Made by `python docs/make_femur_proximal.py --data FOLDER`; every figure below was printed by that run"]
     text += [f"({os.cpu_count()} cores).\n"]
     studies = (
-        ("cut by the lesser trochanter", "apex from geometry", {"trim": TRIM}),
+        (
+            "cut by the lesser trochanter",
+            "cut 0.7 shaft diameters below the landmark of the lesser trochanter, apex from geometry",
+            {"trim": TRIM},
+        ),
         ("apex by a landmark", f"the {APEX} is the apex, and so out of competition", {"trim": TRIM, "apex": APEX}),
-        ("no landmark at all", "cut 1.1 widths below the top, apex from geometry", {}),
+        (
+            "no landmark at all",
+            "cut 0.7 shaft diameters below the lesser trochanter that geometry finds, apex from geometry",
+            {},
+        ),
     )
     for k, (title, words, roles) in enumerate(studies):
         out = options.work / f"study-{k}"

@@ -52,6 +52,8 @@ def methods_sentence(stage: Stage, options: Mapping[str, Any]) -> str:
             return " x ".join(text(v) for v in value)
         if isinstance(value, str) and value.startswith("file:"):
             return "a given file"
+        if value is None:
+            return "none"
         return f"{value:g}" if isinstance(value, float) else str(value)
 
     class Values(dict):

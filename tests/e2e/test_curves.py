@@ -95,6 +95,9 @@ def test_one_file_at_a_time(tmp_path: Path, outlines: Path) -> None:
     code, text = ssmpipe("fit", b, c, "--n-control", "30")
     assert code == 0, text
     assert read_spline(c).control_points.shape == (30, 2)
+    code, text = ssmpipe("fit", b, c, "--tolerance-mm", "0.05")
+    assert code == 0, text
+    assert 30 != len(read_spline(c).control_points) < 80
     code, text = ssmpipe("align", a, b, "--reference", outlines / "egg3.csv", "--start-margin", "0.2")
     assert (code, "does not apply to this kind of file" in text) == (2, True)
 

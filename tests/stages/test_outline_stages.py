@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ssmpipe.contract import Context, Landmarks
-from ssmpipe.core.errors import ConfigError, GeometryError
+from ssmpipe.core.errors import ConfigError, ConvergenceError, GeometryError
 from ssmpipe.core.outline.align import mirror_outline
 from ssmpipe.core.outline.distance import point_to_segments
 from ssmpipe.core.outline.outline import Outline
@@ -171,6 +171,31 @@ class TestFit:
         _, ctx = go(_fit_outline, contour=egg(), options={"n_control": 5})
         assert "raise fit.n_control" in ctx.warnings[0]
 
+    @pytest.mark.parametrize("closed", [True, False])
+    def test_a_tolerance_gets_as_few_control_points_as_keep_it(self, closed: bool) -> None:
+        outline = Outline(egg(400).points[: 400 if closed else 300], closed)
+        counts = []
+        for tolerance in (0.1, 0.02):
+            made, ctx = go(_fit_outline, contour=outline, options={"tolerance_mm": tolerance})
+            n = ctx.metrics["n_control"]
+            assert max(ctx.metrics[f"{d}_rms_mm"] for d in ("contour_to_spline", "spline_to_contour")) <= tolerance
+            same, _ = go(_fit_outline, contour=outline, options={"n_control": n})
+            np.testing.assert_array_equal(made["surface"].control_points, same["surface"].control_points)
+            _, fewer = go(_fit_outline, contour=outline, options={"n_control": n - 1})
+            assert max(fewer.metrics[f"{d}_rms_mm"] for d in ("contour_to_spline", "spline_to_contour")) > tolerance
+            counts.append(n)
+        assert counts[0] < counts[1] < 60
+
+    def test_given_points_keep_the_tolerance_at_the_points(self) -> None:
+        sparse = egg(40)
+        _, ctx = go(_fit_outline, contour=sparse, options={"tolerance_mm": 0.01, "points": "given"})
+        assert ctx.metrics["contour_to_spline_rms_mm"] <= 0.01 < ctx.metrics["spline_to_contour_rms_mm"]
+
+    def test_a_tolerance_out_of_reach_is_refused(self) -> None:
+        zigzag = Outline(np.column_stack([np.arange(60.0), np.arange(60) % 2]), False)
+        with pytest.raises(ConvergenceError, match="500 control points leave a distance of"):
+            go(_fit_outline, contour=zigzag, options={"tolerance_mm": 1e-6})
+
     def test_given_points_are_fitted_by_their_parameters(self) -> None:
         errors = {}
         for parameters in ("chord", "uniform"):
@@ -216,6 +241,27 @@ def test_a_cohort_of_closed_outlines_goes_through_the_group_stages() -> None:
     measured, ctx = go(evaluate, correspondence=correspondence, landmarks=marks, transform=transforms)
     assert measured["landmark_transfer"].columns["n_shapes"][0] == 5
     assert ctx.metrics["landmark_transfer_optimized_mm"] < 0.05 * reference.diagonal
+
+
+def test_outlines_within_a_tolerance_become_one_cohort_with_the_same_correspondence() -> None:
+    transform = {f"e{k}": np.eye(4) for k in range(5)}
+    eggs = {f"e{k}": egg(400, long=26 + 2 * k) for k in range(5)}
+    found = {}
+    for name, options in (("fixed", {"n_control": 160}), ("tolerance", {"tolerance_mm": 0.005})):
+        fits = {i: go(_fit_outline, contour=e, options=options) for i, e in eggs.items()}
+        numbers = {ctx.metrics["n_control"] for _, ctx in fits.values()}
+        assert (len(numbers) > 1) == (name == "tolerance")
+        splines = {i: made["surface"] for i, (made, _) in fits.items()}
+        options = {"n_coefficients": (8,), "landmarks": (101,)}
+        made, _ = go(optimize, surface=splines, transform=transform, landmarks=None, options=options)
+        assert made["certificate"]["all_proved"]
+        found[name] = made["correspondence"]
+    fixed, within = found["fixed"], found["tolerance"]
+    assert within.description_length[1] == pytest.approx(fixed.description_length[1], rel=5e-3)
+    assert within.description_length[1] < within.description_length[0]
+    apart = np.linalg.norm(within.points - fixed.points, axis=-1)
+    moved = np.linalg.norm(fixed.points - fixed.initial_points, axis=-1)
+    assert np.sqrt((apart**2).mean()) < 0.1 * np.sqrt((moved**2).mean())
 
 
 def test_the_closed_form_is_chosen_by_the_config_and_refuses_what_has_none() -> None:

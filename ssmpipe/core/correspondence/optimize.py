@@ -41,6 +41,7 @@ from ssmpipe.core.engine import Engine
 from ssmpipe.core.errors import FoldoverError, GeometryError, LandmarkError
 from ssmpipe.core.optim.interior import DescentOptions
 from ssmpipe.core.result import Result, Status
+from ssmpipe.core.spline.common_knots import on_common_knots
 from ssmpipe.core.spline.curve import BSplineCurve
 from ssmpipe.core.spline.evaluate import Spline, SplineStack
 
@@ -72,7 +73,7 @@ def optimize_correspondence(
     Parameters
     ----------
     splines : sequence of BSplineCurve or BSplineSurface
-        At least two; equal degree and knots; roughly aligned [mm].
+        At least two, of equal degree; roughly aligned [mm]. Different knots are brought to their union, exactly.
     options : EngineOptions, optional
     guides : sequence of mapping name -> (d,), optional
         Named landmarks per shape, in the frame of the splines, that guide the correspondence.
@@ -103,6 +104,7 @@ def optimize_correspondence(
     opts = options or EngineOptions()
     if len(splines) < 2:
         raise GeometryError(f"correspondence needs at least two shapes, got {len(splines)}")
+    splines = on_common_knots(splines)
     cohort = _Cohort(splines, opts, guides, engine, threads)
     rims = cohort.registered_rims()
     opened: Floats | None = None

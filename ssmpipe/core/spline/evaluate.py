@@ -39,6 +39,24 @@ def shapes_per_block(n_points: int) -> int:
     return max(1, _POINTS_PER_BLOCK // n_points)
 
 
+def check_comparable(splines: Sequence[Spline]) -> None:
+    """Check that splines agree in kind, degree and dimension.
+
+    Raises
+    ------
+    GeometryError
+        With the number of the first that differs.
+    """
+    first = splines[0]
+    for k, other in enumerate(splines):
+        if other.degrees != first.degrees or other.dimension != first.dimension:
+            raise GeometryError(
+                f"spline {k} has degrees {other.degrees} and dimension {other.dimension}, "
+                f"spline 0 has {first.degrees} and {first.dimension}",
+                "fit all shapes with the same degree",
+            )
+
+
 @dataclass(frozen=True, eq=False)
 class Jet:
     """Positions and derivatives of ``n_S`` splines, each at its own ``n_P`` points.
@@ -122,14 +140,9 @@ class SplineStack:
         evaluator: Evaluator = "auto",
         threads: int = 1,
     ) -> None:
+        check_comparable(splines)
         first = splines[0]
         for k, other in enumerate(splines):
-            if other.degrees != first.degrees or other.dimension != first.dimension:
-                raise GeometryError(
-                    f"spline {k} has degrees {other.degrees} and dimension {other.dimension}, "
-                    f"spline 0 has {first.degrees} and {first.dimension}",
-                    "fit all shapes with the same degree",
-                )
             if not all(np.array_equal(a, b) for a, b in zip(other.knot_vectors, first.knot_vectors, strict=True)):
                 raise GeometryError(
                     f"spline {k} has other knots than spline 0", "fit all shapes with the same control points"

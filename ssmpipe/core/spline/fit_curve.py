@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal, TypeAlias
 
 import numpy as np
 
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.errors import ConvergenceError, GeometryError
-from ssmpipe.core.outline.distance import point_to_segments
-from ssmpipe.core.outline.outline import edge_indices
 from ssmpipe.core.spline.arc_length import arc_length_at
 from ssmpipe.core.spline.basis import design_matrix
 from ssmpipe.core.spline.curve import BSplineCurve
@@ -157,68 +156,46 @@ def fit_curve(
     return curve
 
 
-def fit_curve_within(
-    points: Floats,
-    tolerance: float,
-    *,
-    degree: int = 2,
-    closed: bool = False,
-    parameters: Spacing | Floats = "arc-length",
-    max_control: int = 1000,
-) -> BSplineCurve:
-    """Fit with as few control points as keep every point within ``tolerance`` of its place on the curve.
+def fewest_control_points(distance: Callable[[int], float], tolerance: float, *, least: int, most: int) -> int:
+    """Return a number of control points that keeps a tolerance where one fewer does not.
+
+    The number is doubled until it suffices, then halved between; distances fall nearly everywhere with it, so that it is the smallest
+    but for places where they do not.
 
     Parameters
     ----------
-    points : (n, d) float64
+    distance : callable
+        Of the curve with so many control points from what it is fitted to.
     tolerance : float
-        In the unit of the points.
-    max_control : int, default=1000
-        Also limited by the number of points.
+        In the same unit.
+    least, most : int
+        Numbers to choose from, both included.
 
     Raises
     ------
     ConvergenceError
-        If that many control points do not suffice.
+        If ``most`` do not suffice.
 
     Examples
     --------
-    >>> t = np.linspace(0, np.pi, 100)
-    >>> arc = fit_curve_within(np.column_stack([np.cos(t), np.sin(t)]), 1e-3)
-    >>> 5 < len(arc.control_points) < 15
-    True
+    >>> fewest_control_points(lambda n: 100.0 / n, 2.9, least=5, most=80)
+    35
     """
-    top = min(max_control, len(points) // 2 + degree)
-
-    def attempt(n_control: int) -> tuple[BSplineCurve, float]:
-        curve = fit_curve(points, degree=degree, n_control=n_control, closed=closed, parameters=parameters)
-        return curve, fit_residual(curve, points)
-
-    low, high = degree + 3, degree + 3
-    curve, error = attempt(high)
-    while error > tolerance and high < top:
-        low, high = high, min(2 * high, top)
-        curve, error = attempt(high)
-    if error > tolerance:
-        raise ConvergenceError(
-            f"{high} control points leave a distance of {error:.3g}, more than the tolerance {tolerance:.3g}",
-            "raise the tolerance, or give more points",
-        )
-    while high - low > 1:
-        middle = (low + high) // 2
-        candidate, error = attempt(middle)
-        if error <= tolerance:
-            curve, high = candidate, middle
+    below, enough = least - 1, least
+    while (left := distance(enough)) > tolerance:
+        if enough >= most:
+            raise ConvergenceError(
+                f"{enough} control points leave a distance of {left:.3g}, more than the tolerance {tolerance:.3g}",
+                "raise the tolerance, or give more points",
+            )
+        below, enough = enough, min(2 * enough, most)
+    while enough - below > 1:
+        middle = (below + enough) // 2
+        if distance(middle) <= tolerance:
+            enough = middle
         else:
-            low = middle
-    return curve
-
-
-def fit_residual(curve: BSplineCurve, points: Floats) -> float:
-    """Return the largest distance between the points and the curve, the latter sampled densely and joined by segments."""
-    n_dense = max(32 * len(curve.control_points), 2 * len(points)) + 1
-    samples = curve_points(curve, np.linspace(0.0, 1.0, n_dense))
-    return float(point_to_segments(points, samples, edge_indices(n_dense, False))[0].max())
+            below = middle
+    return enough
 
 
 def curve_points(curve: BSplineCurve, parameters: Floats) -> Floats:

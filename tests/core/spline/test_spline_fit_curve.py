@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from ssmpipe.core.errors import ConvergenceError, GeometryError
+from ssmpipe.core.outline.distance import point_to_segments
+from ssmpipe.core.outline.outline import edge_indices
 from ssmpipe.core.spline.arc_length import arc_length_at
 from ssmpipe.core.spline.basis import design_matrix, periodic_design_matrix
 from ssmpipe.core.spline.curve import BSplineCurve
@@ -13,9 +17,8 @@ from ssmpipe.core.spline.fit_curve import (
     clamp_periodic,
     curve_points,
     data_parameters,
+    fewest_control_points,
     fit_curve,
-    fit_curve_within,
-    fit_residual,
 )
 from ssmpipe.core.spline.knots import clamped_uniform_knots
 
@@ -25,6 +28,11 @@ def wave(n: int, closed: bool) -> tuple[np.ndarray, np.ndarray]:
     a = 2 * np.pi * u
     r = 1 + 0.3 * np.cos(3 * a + 0.5)
     return u, np.column_stack([r * np.cos(a), r * np.sin(a)])
+
+
+def largest_distance(curve: BSplineCurve, points: np.ndarray) -> float:
+    dense = curve_points(curve, np.linspace(0, 1, 32 * max(len(curve.control_points), len(points)) + 1))
+    return float(point_to_segments(points, dense, edge_indices(len(dense), False))[0].max())
 
 
 @pytest.mark.parametrize("closed", [False, True])
@@ -76,7 +84,7 @@ def test_open_curves_meet_their_ends_and_closed_ones_do_not_depend_on_the_first_
     _, ring = wave(400, True)
     a = fit_curve(ring, n_control=42, closed=True)
     b = fit_curve(np.roll(ring, -130, axis=0), n_control=42, closed=True)
-    assert fit_residual(a, curve_points(b, np.linspace(0, 1, 500))) < 1e-3
+    assert largest_distance(a, curve_points(b, np.linspace(0, 1, 500))) < 1e-3
 
 
 def test_arc_length_parameters_give_constant_speed_whatever_the_spacing():
@@ -113,16 +121,28 @@ def test_arc_length_of_a_parabola():
 
 def test_tolerance_is_kept_with_few_control_points():
     _, points = wave(600, True)
+
+    def distance(n_control):
+        return largest_distance(fit_curve(points, n_control=n_control, closed=True), points)
+
     counts = []
     for tolerance in (1e-2, 1e-3, 1e-4):
-        curve = fit_curve_within(points, tolerance, closed=True)
-        assert fit_residual(curve, points) <= tolerance
-        counts.append(len(curve.control_points))
+        counts.append(fewest_control_points(distance, tolerance, least=5, most=200))
+        assert distance(counts[-1]) <= tolerance < distance(counts[-1] - 1)
     assert counts[0] < counts[1] < counts[2] < 120
-    fewer = fit_curve(points, n_control=counts[1] - 1, closed=True)
-    assert fit_residual(fewer, points) > 1e-3
-    with pytest.raises(ConvergenceError, match="more than the tolerance"):
-        fit_curve_within(points, 1e-9, closed=True, max_control=20)
+    with pytest.raises(ConvergenceError, match=r"20 control points leave .* more than the tolerance 1e-09"):
+        fewest_control_points(distance, 1e-9, least=5, most=20)
+
+
+@given(st.integers(4, 30), st.integers(0, 200), st.integers(4, 250))
+def test_the_fewest_are_found_and_both_ends_can_be_chosen(least, more, wanted):
+    most = least + more
+    if wanted > most:
+        with pytest.raises(ConvergenceError, match=f"{most} control points"):
+            fewest_control_points(lambda n: -float(n), -float(wanted), least=least, most=most)
+    else:
+        found = fewest_control_points(lambda n: -float(n), -float(wanted), least=least, most=most)
+        assert found == max(least, wanted)
 
 
 @pytest.mark.parametrize("closed", [False, True])
