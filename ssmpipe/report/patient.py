@@ -11,6 +11,7 @@ from matplotlib.colors import LinearSegmentedColormap, to_rgb
 from scipy.spatial import cKDTree
 
 from ssmpipe.contract import Table
+from ssmpipe.core.align.rigid import apply
 from ssmpipe.core.arrays import Floats
 from ssmpipe.core.correspondence.correspondence import Correspondence
 from ssmpipe.core.evaluation.locating import locate
@@ -339,14 +340,15 @@ def _candidates(page: PatientPage, shape: Mapping[str, Any]) -> Section | None:
     found = candidates_of(shape)
     if not found:
         return None
-    scan = next((step.shape for step in page.steps if step.key == "scan"), None)
+    scan = next((step for step in page.steps if step.key == "scan"), None)
     marks = []
     for name, place in found.items():
         drawn = ""
-        if scan is not None and scan.cells.shape[1] == 3:
-            drawn = _draw_mark(scan, np.array([float(x) for x in place.split()]))
+        if scan is not None and scan.shape is not None and scan.shape.cells.shape[1] == 3:
+            in_file = np.array([[float(x) for x in place.split()]])
+            drawn = _draw_mark(scan.shape, apply(np.asarray(scan.transform), in_file)[0])
         marks.append({"name": name, "place": place, "picture": drawn})
-    html = fill("patient_candidates.html.j2", marks=marks, unit=page.unit)
+    html = fill("patient_candidates.html.j2", marks=marks)
     return Section("candidates", "Landmarks that geometry proposes", html)
 
 

@@ -12,7 +12,7 @@ from ssmpipe.core.arrays import Floats
 
 
 def propose(found: Mapping[str, Floats], transform: Floats, ctx: Context) -> None:
-    """Record places [mm] in the coordinates of the scan, so that they can be looked at there and taken over into a landmark file.
+    """Record places in the coordinates of the scan's file, so that they can be looked at there and taken over into a landmark file.
 
     Parameters
     ----------
@@ -25,5 +25,5 @@ def propose(found: Mapping[str, Floats], transform: Floats, ctx: Context) -> Non
     places = apply(np.asarray(np.linalg.inv(transform)), np.array(list(found.values())))
     ctx.metric(
         "landmark_candidates",
-        {name: " ".join(f"{x:.2f}" for x in place) for name, place in zip(found, places, strict=True)},
+        {name: " ".join(f"{x:.6g}" for x in place) for name, place in zip(found, places, strict=True)},
     )

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from typing import Literal
 
+import numpy as np
+
 from ssmpipe.contract import Context, Landmarks
 from ssmpipe.core.arrays import Floats, Ints
 from ssmpipe.core.errors import GeometryError, LandmarkError
 from ssmpipe.core.mesh.operators import area
 from ssmpipe.core.mesh.topology import boundary_loops, loop_length
 from ssmpipe.core.mesh.trimesh import TriMesh
-from ssmpipe.core.repair.sinuses import find_sinuses, planes_at_sinuses, sinus_valleys
+from ssmpipe.core.mesh.tube_profile import place_on_line
+from ssmpipe.core.repair.sinuses import Sinuses, find_sinuses, planes_at_sinuses, sinus_valleys
 from ssmpipe.core.repair.tube_ends import (
     EndPlane,
     open_closed_end,
@@ -95,9 +98,12 @@ def _by_sinuses(
     try:
         sinuses = find_sinuses(mesh, rims)
     except GeometryError as error:
-        ctx.warn(f"{error.fact}; both ends are cut just inside the rims, at places that need not correspond")
+        ignored = " (the landmark of role trim is left aside)" if mark is not None else ""
+        ctx.warn(f"{error.fact}; both ends are cut just inside the rims{ignored}, at places that need not correspond")
         ctx.metric("sinuses", "not found")
         return at_rims
+    if mark is not None:
+        _check_upper(mark, sinuses)
     lower, upper = planes_at_sinuses(mesh, sinuses, below, tube_mm if mark is None else mark)
     other = at_rims[1 if sinuses.first else 0]
     ctx.metric("sinuses", "first end" if sinuses.first else "second end")
@@ -117,3 +123,17 @@ def _by_sinuses(
         else:
             other = upper
     return (lower, other) if sinuses.first else (other, lower)
+
+
+def _check_upper(mark: Floats, sinuses: Sinuses) -> None:
+    beside = float(np.linalg.norm(sinuses.line - mark, axis=1).min())
+    if not beside < sinuses.diameter:
+        raise LandmarkError(
+            f"the landmark of role trim lies {beside:.1f} mm from the centre line of the tube, which is {sinuses.diameter:.1f} mm wide",
+            "put it on the wall or on the centre line, where the upper end shall be cut; check its units and its frame",
+        )
+    if place_on_line(sinuses.line, mark) <= sinuses.upper:
+        raise LandmarkError(
+            "the landmark of role trim lies below the upper end of the sinuses",
+            "put it where the upper end shall be cut",
+        )

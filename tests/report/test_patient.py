@@ -104,11 +104,12 @@ def test_a_failed_shape_has_reason_and_remedy_and_no_model() -> None:
 
 def test_places_that_geometry_proposes_are_shown_on_the_scan(html: str) -> None:
     record = small_run().record
-    record["shapes"]["P02_right"]["stages"][0]["metrics"] = {"landmark_candidates": {"fovea": "20.00 0.00 0.00"}}
-    page = build_patient(example(record=record))
+    record["shapes"]["P02_right"]["stages"][0]["metrics"] = {"landmark_candidates": {"fovea": "2 0 0"}}  # in cm
+    steps = [StepShape("scan", sphere(20), np.diag([10.0, 10.0, 10.0, 1.0])), *example().steps[1:]]
+    page = build_patient(example(record=record, steps=steps))
     assert "Landmarks that geometry proposes" not in html
     (section,) = re.findall(r'<section id="candidates".*?</section>', page, flags=re.DOTALL)
-    assert "20.00 0.00 0.00" in section
+    assert "2 0 0" in section
     (source,) = re.findall(
         r'src="data:image/png;base64,([^"]*)" width="200" height="200" alt="fovea on the scan"', section
     )

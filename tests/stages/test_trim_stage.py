@@ -88,6 +88,18 @@ class TestSinuses:
         assert heights(mesh)[1] == pytest.approx(39.5, abs=0.1)
         assert "before the landmark of role trim, more than trim.extend_mm" in ctx.warnings[0]
 
+    @pytest.mark.parametrize(
+        ("place", "words"),
+        [
+            ([300.0, 0.0, 40.0], r"lies 300\.0 mm from the centre line of the tube"),
+            ([0.0, 0.0, 14.0], "below the upper end of the sinuses"),
+            ([0.0, 0.0, np.nan], "from the centre line"),
+        ],
+    )
+    def test_a_landmark_at_an_impossible_place_is_refused(self, place, words):
+        with pytest.raises(LandmarkError, match=f"role trim.*{words}"):
+            go(aortic_root(), {"trim": place}, ends=2, ends_at="sinuses")
+
     def test_a_scan_that_ends_too_early_is_continued_or_cut_at_its_rim_and_says_so(self):
         options = {"ends": 2, "ends_at": "sinuses", "below_sinuses": 0.5, "tube_mm": 45.0}
         mesh, ctx = go(aortic_root(end=40.0), **options, extend_mm=6.0)
@@ -102,6 +114,8 @@ class TestSinuses:
         assert heights(mesh) == pytest.approx([0.5, 59.5], abs=1e-6)
         assert "no sinuses were found" in ctx.warnings[0]
         assert ctx.metrics["sinuses"] == "not found"
+        _, ctx = go(tube(10.0, 60.0), {"trim": [0.0, 0.0, 40.0]}, ends=2, ends_at="sinuses")
+        assert "the landmark of role trim is left aside" in ctx.warnings[0]
         with pytest.raises(ValidationError, match="tube_mm counts from the sinuses"):
             trim.Config(ends=2, tube_mm=30.0)
 

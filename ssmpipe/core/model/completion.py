@@ -27,6 +27,8 @@ _MISFIT = 0.3
 """Noise of a distance along a normal, in variances of the remainder: pairs are never quite right."""
 _FARTHER = (1.25, -1.25, 2.5, -2.5)
 """Where along the first mode a pose is looked for when none is good on the mean [standard deviations]."""
+_FARTHER_HAS_TO_GAIN = 1.25
+"""How many times better a pose found on an unusual shape has to be than one on the mean, after a few iterations [-]."""
 _EXPLAINED = 0.25
 """A pose is good when its :func:`_badness` is below this [typical deviations of a shape]; on femora right ones have 0.04 to 0.14, a wrong
 one 0.7."""
@@ -114,7 +116,8 @@ def complete(
         for matrix, cost in starts:
             one = _fit(fragment, model, remainder, matrix, 8 if len(starts) > 1 else n_iterations, n_rows)
             if one is not None:
-                found.append((_badness(one, fragment, model), replace(one, start_cost=cost)))
+                bad = _badness(one, fragment, model) * (1.0 if sigmas == 0.0 else _FARTHER_HAS_TO_GAIN)
+                found.append((bad, replace(one, start_cost=cost)))
     if not found:
         raise GeometryError(
             "the fragment cannot be placed on the model", "check units, side and that it is of this anatomy"

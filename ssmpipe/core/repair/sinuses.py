@@ -129,7 +129,12 @@ def sinus_valleys(mesh: TriMesh, sinuses: Sinuses) -> Floats:
     middle = 0.5 * (max(sinuses.lower, 0.0) + sinuses.upper)
     point, axis = point_on_line(sinuses.line, middle, 0.5 * sinuses.diameter)
     places = section_segments(mesh, axis, float(point @ axis)).mean(axis=1)
-    places = places[np.linalg.norm(places - point, axis=1) < sinuses.diameter]
+    near = np.linalg.norm(places - point, axis=1) < sinuses.diameter
+    length = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(sinuses.line, axis=0), axis=1))]
+    beside = length[
+        np.linalg.norm(places[:, None] - sinuses.line, axis=2).argmin(axis=1)
+    ]  # not the other limb of an arch
+    places = places[near & (np.abs(beside - middle) < sinuses.diameter)]
     across = np.linalg.svd(np.eye(3) - np.outer(axis, axis))[0][:, 0]
     offset = places - places.mean(axis=0)
     angle, radius = np.arctan2(offset @ np.cross(axis, across), offset @ across), np.linalg.norm(offset, axis=1)

@@ -28,6 +28,7 @@ from ssmpipe.core.mesh.trimesh import TriMesh
 from ssmpipe.core.mesh.tube_profile import place_on_line, point_on_line, point_on_longer_line
 from ssmpipe.core.repair.cleaning import separate_fans
 from ssmpipe.core.repair.extension import extend
+from ssmpipe.core.repair.smoothing import taubin
 from ssmpipe.core.repair.trimming import cut_by_plane
 
 
@@ -111,17 +112,22 @@ def opening_at(mesh: TriMesh, loops: Sequence[Ints], mark: Floats) -> int | None
     best, nearest = None, np.inf
     for k, loop in enumerate(loops):
         rim = mesh.vertices[loop]
-        middle = rim.mean(axis=0)
-        i = np.arange(len(rim))
-        disc = TriMesh(np.vstack([rim, middle]), np.column_stack([i, np.roll(i, -1), np.full(len(rim), len(rim))]))
-        distance = float(point_to_mesh(mark[None], disc)[0][0])
-        if distance < min(nearest, 2.0 * float(np.median(np.linalg.norm(rim - middle, axis=1)))):
+        distance = _to_disc(rim, mark)
+        if distance < min(nearest, 2.0 * float(np.median(np.linalg.norm(rim - rim.mean(axis=0), axis=1)))):
             best, nearest = k, distance
     return best
 
 
+def _to_disc(rim: Floats, mark: Floats) -> float:
+    i = np.arange(len(rim))
+    fan = np.column_stack([i, np.roll(i, -1), np.full(len(rim), len(rim))])
+    return float(point_to_mesh(mark[None], TriMesh(np.vstack([rim, rim.mean(axis=0)]), fan))[0][0])
+
+
 def openings(mesh: TriMesh, marks: Sequence[Floats | None]) -> tuple[Ints, Ints]:
     """Return the two rims of a tube: those that the marks mean, else the longest loops, the longer one first.
+
+    Marks farther away than :func:`opening_at` allows, deep inside where the cut shall be, say which of the longest two is which.
 
     Raises
     ------
@@ -139,6 +145,13 @@ def openings(mesh: TriMesh, marks: Sequence[Floats | None]) -> tuple[Ints, Ints]
         raise TopologyError(
             "opening_1 and opening_2 lie at the same rim", "move one of the two landmarks to the other end"
         )
+    away = [[0.0 if mark is None else _to_disc(mesh.vertices[loop], mark) for loop in loops[:2]] for mark in marks]
+    if meant == [None, None]:
+        swapped = away[0][1] + away[1][0] < away[0][0] + away[1][1]
+        meant = [1, 0] if swapped else [0, 1]
+    for k, mark in enumerate(marks):
+        if meant[k] is None and mark is not None:
+            meant[k] = min((j for j in (0, 1) if j != meant[1 - k]), key=away[k].__getitem__)
     first = meant[0] if meant[0] is not None else int(meant[1] == 0)
     second = meant[1] if meant[1] is not None else int(first == 0)
     return loops[first], loops[second]
@@ -190,7 +203,8 @@ def planes_through_points(
 def plane_across(mesh: TriMesh, point: Floats, inward: Floats, reach: float) -> EndPlane:
     """Return the plane near an end that cuts a tube in the smallest section through a point of its centre line.
 
-    Where the scan ends before that, the plane lies across the centre line.
+    Of the scan smoothed, since noise leaves a section no smooth minimum. Where the scan ends before that, the plane lies across the
+    centre line.
 
     Parameters
     ----------
@@ -201,7 +215,8 @@ def plane_across(mesh: TriMesh, point: Floats, inward: Floats, reach: float) -> 
     reach : float
         See :func:`.narrowest_section`; about a diameter [mm].
     """
-    across = narrowest_section(mesh, point, inward, reach)
+    near = np.linalg.norm(mesh.vertices[mesh.faces].mean(axis=1) - point, axis=1) < 2.0 * reach
+    across = narrowest_section(taubin(compact(mesh, near), n_iterations=30), point, inward, reach)
     return EndPlane(point, -(inward if across is None else across))
 
 

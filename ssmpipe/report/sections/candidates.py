@@ -32,5 +32,5 @@ def render(data: ReportData) -> Section | None:
     if not names:
         return None
     rows = [(i, [found.get(name) for name in names]) for i, found in shapes.items() if found]
-    html = fill("candidates.html.j2", names=names, rows=rows, unit=data.unit)
+    html = fill("candidates.html.j2", names=names, rows=rows)
     return Section("candidates", "Landmarks that geometry proposes", html)
