@@ -366,11 +366,9 @@ def _draw_mark(scan: Geometry, place: Floats) -> str:
     colours = np.tile(to_rgb(BONE), (len(small.points), 1))
     colours[apart < _SPOT] = to_rgb(CHANGE_STOPS[3])
     colours[apart < 0.6 * _SPOT] = to_rgb(CHANGE_STOPS[2])
-    axes = view_axes(*view)[:2]
-    flat = small.points @ axes.T
-    low, high = flat.min(axis=0), flat.max(axis=0)
+    stand = _Stand.of(small, view=view)
     shot = picture(
-        small.points, small.cells, view=view, centre=(low + high) / 2 @ axes, radius=0.53 * float((high - low).max()),
+        small.points, small.cells, view=stand.view, centre=stand.centre, radius=stand.radius,
         colours=colours, inches=_INCHES, dpi=_DPI, finer=1.5,
     )  # fmt: skip
     return png_uri(shot, 96)
@@ -440,12 +438,12 @@ class _Stand:
     radius: float
 
     @classmethod
-    def of(cls, frame: Geometry, small: Geometry | None = None) -> _Stand:
-        """Look at ``frame`` so that much is seen; ``small``: the same with fewer triangles."""
+    def of(cls, frame: Geometry, small: Geometry | None = None, view: tuple[float, float] | None = None) -> _Stand:
+        """Look at ``frame`` from ``view``, or so that much is seen; ``small``: the same with fewer triangles."""
         if frame.cells.shape[1] != 3:
             return cls(frame, (0.0, 0.0), np.zeros(2), 1.0)
         look = small or frame
-        view = good_view(look.points, look.cells)
+        view = view or good_view(look.points, look.cells)
         axes = view_axes(*view)[:2]
         flat = frame.points @ axes.T
         low, high = flat.min(axis=0), flat.max(axis=0)

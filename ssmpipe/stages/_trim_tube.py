@@ -12,7 +12,7 @@ from ssmpipe.core.errors import GeometryError, LandmarkError
 from ssmpipe.core.mesh.operators import area
 from ssmpipe.core.mesh.topology import boundary_loops, loop_length
 from ssmpipe.core.mesh.trimesh import TriMesh
-from ssmpipe.core.mesh.tube_profile import place_on_line
+from ssmpipe.core.mesh.tube_profile import places_on_line
 from ssmpipe.core.repair.sinuses import Sinuses, find_sinuses, planes_at_sinuses, sinus_valleys
 from ssmpipe.core.repair.tube_ends import (
     EndPlane,
@@ -132,7 +132,7 @@ def _check_upper(mark: Floats, sinuses: Sinuses) -> None:
             f"the landmark of role trim lies {beside:.1f} mm from the centre line of the tube, which is {sinuses.diameter:.1f} mm wide",
             "put it on the wall or on the centre line, where the upper end shall be cut; check its units and its frame",
         )
-    if place_on_line(sinuses.line, mark) <= sinuses.upper:
+    if places_on_line(sinuses.line, mark[None])[0] <= sinuses.upper:
         raise LandmarkError(
             "the landmark of role trim lies below the upper end of the sinuses",
             "put it where the upper end shall be cut",

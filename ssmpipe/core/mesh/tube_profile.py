@@ -127,16 +127,16 @@ def point_on_longer_line(line: Floats, at: float, window: float) -> tuple[Floats
     return point + (at - inside) * tangent, tangent
 
 
-def place_on_line(line: Floats, point: Floats) -> float:
-    """Return the arc length of the vertex of a polyline that lies nearest to a point [mm].
+def places_on_line(line: Floats, points: Floats) -> Floats:
+    """Return the arc lengths (n,) of the vertices of a polyline that lie nearest to (n, 3) points [mm].
 
     Examples
     --------
-    >>> place_on_line(np.array([[0.0, 0, 0], [0, 0, 2], [0, 0, 4]]), np.array([1.0, 0, 2.5]))
-    2.0
+    >>> places_on_line(np.array([[0.0, 0, 0], [0, 0, 2], [0, 0, 4]]), np.array([[1.0, 0, 2.5], [0, 0, 9]]))
+    array([2., 4.])
     """
     length = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))]
-    return float(length[np.argmin(np.linalg.norm(line - point, axis=1))])
+    return np.asarray(length[np.linalg.norm(points[:, None] - line, axis=2).argmin(axis=1)])
 
 
 def _round(segments: Floats, axis: Floats, n_orders: int) -> tuple[float, Floats]:

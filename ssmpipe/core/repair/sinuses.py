@@ -12,7 +12,13 @@ from ssmpipe.core.errors import GeometryError
 from ssmpipe.core.mesh.centre_line import centre_line
 from ssmpipe.core.mesh.sections import section_segments
 from ssmpipe.core.mesh.trimesh import TriMesh
-from ssmpipe.core.mesh.tube_profile import TubeProfile, place_on_line, point_on_line, point_on_longer_line, tube_profile
+from ssmpipe.core.mesh.tube_profile import (
+    TubeProfile,
+    places_on_line,
+    point_on_line,
+    point_on_longer_line,
+    tube_profile,
+)
 from ssmpipe.core.repair.tube_ends import EndPlane, median_radius, plane_across
 
 _BULGE = 0.02
@@ -195,7 +201,9 @@ def planes_at_sinuses(
         return lower, None
     if isinstance(upper, (float, int)):
         return lower, EndPlane(*point_on_longer_line(sinuses.line, at + upper, window))
-    return lower, EndPlane(upper, point_on_longer_line(sinuses.line, place_on_line(sinuses.line, upper), window)[1])
+    return lower, EndPlane(
+        upper, point_on_longer_line(sinuses.line, float(places_on_line(sinuses.line, upper[None])[0]), window)[1]
+    )
 
 
 def _from_profile(profile: TubeProfile, radius: float, first: bool, line: Floats) -> Sinuses:

@@ -25,7 +25,7 @@ from ssmpipe.core.mesh.topology import (
     unique_edges,
 )
 from ssmpipe.core.mesh.trimesh import TriMesh
-from ssmpipe.core.mesh.tube_profile import place_on_line, point_on_line, point_on_longer_line
+from ssmpipe.core.mesh.tube_profile import places_on_line, point_on_line, point_on_longer_line
 from ssmpipe.core.repair.cleaning import separate_fans
 from ssmpipe.core.repair.extension import extend
 from ssmpipe.core.repair.smoothing import taubin
@@ -195,7 +195,9 @@ def planes_through_points(
     radius = median_radius(mesh, rims)
     planes = []
     for point, inward in ((points[0], line), (points[1], line[::-1])):
-        middle, tangent = point_on_longer_line(inward, place_on_line(inward, point), radius)
+        middle, tangent = point_on_longer_line(
+            inward, float(places_on_line(inward, np.asarray(point)[None])[0]), radius
+        )
         planes.append(EndPlane(np.asarray(point), plane_across(mesh, middle, tangent, 2.0 * radius).normal))
     return planes[0], planes[1]
 
